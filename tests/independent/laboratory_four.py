@@ -21,7 +21,7 @@ EFFECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "armature": (("armature",), ("inertia_scale",)),
     "stribeck": (("stribeck",), ("root_friction", "coulomb")),
     "ripple": (("ripple",), ()),
-    "gravity": (("gravity_scale", "mass_centre"), ("inertia_scale", "armature", "spring", "offset")),
+    "gravity": (("link_mass", "gravity_scale", "mass_centre"), ("inertia_scale", "armature", "spring", "offset")),
     "spring": (("spring",), ("gravity_scale", "mass_centre")),
     "load_friction": (("load_friction", "efficiency"), ("coulomb",)),
     "efficiency": (("load_friction", "efficiency"), ("coulomb",)),
@@ -62,7 +62,7 @@ _GAINS = np.array([80.0, 60.0, 40.0]), np.array([2.0, 1.5, 1.0])
 _ARITHMETIC = ("command_late", "gain", "saturation", "command_held")
 """Causes that are there only where the torque is computed."""
 _SHARED = ("command_held", "command_late", "measurement_late", "clock_jitter", "clock_alternating", "clock_factor",
-           "rows_dropped", "rows_repeated", "speed_filter", "speed_degrees", "degrees")  # fmt: skip
+           "rows_dropped", "rows_repeated", "speed_filter", "speed_degrees", "degrees", "order")  # fmt: skip
 """Faults of all joints at once."""
 _MEASURED = ("torque_constant", "torque_is_law", "order")
 

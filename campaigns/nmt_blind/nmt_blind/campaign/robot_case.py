@@ -179,8 +179,8 @@ def _named(cause: Planted, claims: Claims) -> int:
     """2: named; 1: a part of it, or behind another term of its joint; 0: not."""
     if cause.of == "log":
         hits = [joints for joints, key in claims.findings if key in cause.named]
-        whole = [not joints or not cause.joint or cause.joint in joints for joints in hits]
-        return 2 if any(whole) else 0
+        at_joint = [not joints or not cause.joint or cause.joint in joints for joints in hits]
+        return 2 if any(at_joint) else 0
     terms = [key for joint, key in claims.terms if joint == cause.joint]
     if terms and terms[0] in cause.named:
         return 2

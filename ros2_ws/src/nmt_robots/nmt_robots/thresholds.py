@@ -16,6 +16,7 @@ class Thresholds:
         alike: cosine between what two effects add beyond the usual terms; above it they are one class.
         fits_as_well: a reading of the log whose pooled relative residual, squared, is larger by no more than this fits
             as well.
+        unexplained: torque left over, as a share of the torque, from which nothing is claimed of a joint.
         moving_rows: share of rows; a joint that moves in fewer is not judged.
         lag_s: a delay below this is within what rows of a log can tell, s.
         velocity_gain: a logged velocity whose factor to the derivative of the position is off by less is right.
@@ -32,6 +33,7 @@ class Thresholds:
     certain: float = 3.0
     alike: float = 0.95
     fits_as_well: float = 0.06
+    unexplained: float = 0.15
     moving_rows: float = 0.1
     lag_s: float = 0.001
     velocity_gain: float = 0.02
@@ -42,7 +44,7 @@ class Thresholds:
     mass_tolerance: float = 0.02
     torque_tolerance: float = 0.02
     held_rows: float = 1.5
-    exact: float = 1e-3
+    exact: float = 3e-3
 
 
 THRESHOLDS = Thresholds()

@@ -12,6 +12,13 @@ from nmt_robots.mechanics.shared_reading import ReadingScores
 from nmt_robots.model.robot_model import Joint
 from nmt_robots.thresholds import THRESHOLDS
 
+_SHARE_OF_ONE = 0.4
+"""Of the plain residual, taken by a lag that a single joint has to show."""
+_DOUBTFUL = 0.15
+"""Torque left over, as a share, from which a lag may be made of what is not understood."""
+_ORDINARY_S = 0.002
+"""A control loop that holds its torque for a millisecond and a current loop are so late, s."""
+
 
 def torque_findings(log: JointLog, joints: tuple[Joint, ...], torque: Array) -> list[Finding]:
     """Where the torque comes from, and whether it is at the drive's limit."""
@@ -54,7 +61,8 @@ def _law_in_measured(log: JointLog) -> list[Finding]:
     for joint in range(log.torque.shape[1]):
         terms = [log.position_command[:, joint] - log.position[:, joint], np.ones(log.rows)]
         if log.velocity is not None:
-            terms.append(log.velocity[:, joint])
+            # A drive's own speed may have another filter than the logged one.
+            terms += [log.velocity[:, joint], np.gradient(log.velocity[:, joint])]
         if log.velocity_command is not None:
             terms.append(log.velocity_command[:, joint])
         matrix = np.column_stack(terms)
@@ -74,8 +82,13 @@ def _law_in_measured(log: JointLog) -> list[Finding]:
     ]  # fmt: skip
 
 
-def reading_findings(scores: ReadingScores) -> list[Finding]:
-    """What all joints together say of how commands and torques are to be read."""
+def reading_findings(scores: ReadingScores, held_s: float) -> list[Finding]:
+    """What all joints together say of how commands and torques are to be read.
+
+    Args:
+        scores: of all readings.
+        held_s: mean time for which the log keeps a command, s.
+    """
     best = scores.best
     plain, least = scores.relative[scores.plain], float(np.min(scores.relative))
     share = 1.0 - float(np.sqrt(least / plain))
@@ -95,13 +108,22 @@ def reading_findings(scores: ReadingScores) -> list[Finding]:
                 apart, float("nan"), "1", fault=False,
             )
         )  # fmt: skip
-    late = "torque_lag_s" if best.torque_lag_s else "command_lag_s"
+    late = "command_lag_s" if best.command_lag_s else "torque_lag_s"
     lag, std = scores.lag(best.command, late)
-    others = [getattr(reading, late) for reading in alike if getattr(reading, late)]
+    kind = bool(best.command_lag_s)
+    others = [getattr(item, late) for item in alike if bool(item.command_lag_s) == kind and getattr(item, late)]
     if others:
         std = float(np.hypot(std, max(abs(other - lag) for other in others) / np.sqrt(3.0)))
+    # A command that is held is late by half of its time beside one that runs straight.
+    expected = 0.5 * held_s if best.command == SMOOTH else 0.0
+    # One joint alone makes a lag of much that it has not in common with others.
+    several = int(np.sum(np.all(np.isfinite(scores.by_joint), axis=0))) > 1
+    sure = np.sqrt(least) < _DOUBTFUL and (several or (lag > 0.0 and share > _SHARE_OF_ONE))
     # A drive that holds its torque over a row is late by half of one.
-    if abs(lag) > max(THRESHOLDS.lag_s, 0.75 * scores.step_s, 2.0 * std) and share > 0.5 * THRESHOLDS.fits_as_well:
+    if (
+        abs(lag) > max(THRESHOLDS.lag_s, 0.75 * scores.step_s, THRESHOLDS.certain * std)
+        and share > 0.5 * THRESHOLDS.fits_as_well
+    ):
         what = "torque (or the whole control loop)" if late == "torque_lag_s" else "command"
         sense = "late" if lag > 0.0 else "early"
         joints = _agreeing(scores, best.command, late)
@@ -111,7 +133,7 @@ def reading_findings(scores: ReadingScores) -> list[Finding]:
                 f"The {what} is {1e3 * abs(lag):.3g} ± {1e3 * std:.2g} ms {sense} against the motion in all joints "
                 f"({joints}); read so, {100 * share:.0f} % of what the plain reading leaves over is gone. To first "
                 "order such a delay is a damping of −kp·δ and an armature of −kd·δ, so neither is told without it.",
-                lag, std, "s", share,
+                lag, std, "s", share, fault=bool(sure) and abs(lag - expected) > _ORDINARY_S + 0.25 * expected,
             )
         )  # fmt: skip
     return found
@@ -152,13 +174,6 @@ def order_findings(log: JointLog, joints: tuple[Joint, ...], motion: Motion, tor
                 len(outside), 0.0, "joints", joints=tuple(word.split(" ")[0] for word in outside),
             )
         )  # fmt: skip
-    jumps = np.max(np.abs(np.diff(log.position, axis=0)), axis=0)
-    turns = np.array([joint.turns for joint in joints])
-    wrapped = [joints[n].name for n in np.flatnonzero(turns & (np.abs(jumps - 2.0 * np.pi) < 0.5))]
-    if wrapped:
-        found.append(
-            Finding("wrap", f"Angles jump by a whole turn: {', '.join(wrapped)}; unwrap them.", joints=tuple(wrapped))
-        )
     return [*found, *_mirrored(joints, motion, torque)]
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
+from nmt_robots.log_faults.repair import stale_rows, steps_by_motion
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import changes_of
 from nmt_robots.thresholds import THRESHOLDS
@@ -51,14 +52,11 @@ def _stamps(log: JointLog) -> list[Finding]:
 
 def _repeated(log: JointLog, motion: Motion) -> list[Finding]:
     """Rows that are those before them once more although joints move."""
-    same = np.all(np.diff(log.position, axis=0) == 0.0, axis=1)
-    if log.velocity is not None:
-        same &= np.all(np.diff(log.velocity, axis=0) == 0.0, axis=1)
-    same &= np.any(motion.moving[1:], axis=1)
-    share = float(np.mean(same)) / max(float(np.mean(np.any(motion.moving[1:], axis=1))), 1e-9)
+    stale = len(stale_rows(log, motion.moving))
+    share = stale / max(float(np.count_nonzero(np.any(motion.moving[1:], axis=1))), 1.0)
     if share < 0.002:
         return []
-    std = float(np.sqrt(share * (1.0 - share) / len(same)))
+    std = float(np.sqrt(share * max(1.0 - share, 0.0) / log.rows))
     return [
         Finding(
             "rows_repeated",
@@ -75,7 +73,7 @@ def _spacing(log: JointLog, motion: Motion) -> list[Finding]:
         return []
     movers = np.flatnonzero(motion.moves & (np.std(log.velocity, axis=0) > 0.0))
     if len(movers) < 2:
-        return []
+        return _alternating(log)
     estimates = [_step_by_motion(log, motion, movers[side::2]) for side in (0, 1)]
     both = np.isfinite(estimates[0]) & np.isfinite(estimates[1])
     if np.count_nonzero(both) < 100:
@@ -96,6 +94,29 @@ def _spacing(log: JointLog, motion: Motion) -> list[Finding]:
             f"Rows are {1e3 * jitter:.2g} ms (rms) off the even clock of {1e3 * log.step_s:.4g} ms: two disjoint "
             "groups of joints agree on which rows are closer together.",
             jitter, std, "s",
+        )
+    ]  # fmt: skip
+
+
+def _alternating(log: JointLog) -> list[Finding]:
+    """Rows that are closer together and farther apart in turn, which one joint alone can tell."""
+    steps, uncertainty = steps_by_motion(log)
+    certain = uncertainty < 0.3
+    parity = np.arange(len(steps)) % 2 == 0
+    sides = [steps[certain & side] for side in (parity, ~parity)]
+    if min(len(side) for side in sides) < 50:
+        return []
+    apart = 0.5 * float(abs(np.mean(sides[0]) - np.mean(sides[1])))
+    std = 0.5 * float(np.hypot(*(np.std(side) / np.sqrt(len(side)) for side in sides)))
+    if apart < _JITTER or apart < 5.0 * std:
+        return []
+    step = 1e3 * log.step_s
+    return [
+        Finding(
+            "hidden_jitter",
+            f"Rows are {(1 - apart) * step:.3g} and {(1 + apart) * step:.3g} ms apart in turn beneath the even clock "
+            "of the time column.",
+            apart * log.step_s, std * log.step_s, "s",
         )
     ]  # fmt: skip
 

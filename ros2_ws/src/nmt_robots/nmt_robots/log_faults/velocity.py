@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from nmt_robots.log.joint_log import Array, JointLog
@@ -27,25 +29,41 @@ def velocity_findings(log: JointLog, motion: Motion) -> list[Finding]:
         if not motion.moves[joint] or np.std(log.velocity[:, joint]) == 0.0:
             continue
         rows = motion.moving[:, joint]
-        matrix = np.column_stack([motion.v[rows, joint], -motion.a[rows, joint], np.ones(np.count_nonzero(rows))])
-        fit = fitted(matrix, smooth[rows, joint], np.zeros(3, dtype=bool), motion.blocks[rows])
+        # A filter of time constant T gives v − T a + T² times the jerk: the last one would else be a factor.
+        jerk = motion.smooth(np.gradient(motion.a[:, joint], motion.step_s))
+        columns = motion.v[rows, joint], -motion.a[rows, joint], jerk[rows], np.ones(np.count_nonzero(rows))
+        fit = fitted(np.column_stack(columns), smooth[rows, joint], np.zeros(4, dtype=bool), motion.blocks[rows])
         names.append(name)
         factors.append((fit.values[0], fit.std[0]))
         lags.append((fit.values[1] / fit.values[0], fit.std[1] / abs(fit.values[0])))
     if not names:
         return []
-    return [*_factors(names, np.array(factors)), *_lag(names, np.array(lags), log.step_s)]
+    quick = float(np.median(np.std(motion.a, axis=0) / np.maximum(np.std(motion.v, axis=0), 1e-300)))
+    # What a filter of that lag takes of the amplitude is no factor.
+    taken = min((float(np.median([lag for lag, _ in lags])) * quick) ** 2, 0.2)
+    return [*_factors(names, np.array(factors), taken), *_lag(names, np.array(lags), log.step_s)]
 
 
-def _factors(names: list[str], factors: Array) -> list[Finding]:
-    """Speeds with a factor."""
+def with_right_speeds(log: JointLog, motion: Motion) -> JointLog:
+    """The log with speeds of a wrong sign or unit put right; factors near one stay as they are."""
+    if log.velocity is None:
+        return log
+    gains = np.sum(log.velocity * motion.v, axis=0) / np.maximum(np.sum(motion.v**2, axis=0), 1e-300)
+    wrong = motion.moves & ((gains < -0.5) | (np.abs(gains) > 3.0) | ((np.abs(gains) < 1.0 / 3.0) & (gains != 0.0)))
+    wrong &= np.std(log.velocity, axis=0) > 0.0
+    return replace(log, velocity=log.velocity / np.where(wrong, gains, 1.0))
+
+
+def _factors(names: list[str], factors: Array, taken: float) -> list[Finding]:
+    """Speeds with a factor, beyond what their filter takes."""
+    limit = THRESHOLDS.velocity_gain + taken
     middle = float(np.median(factors[:, 0]))
     if middle < 0.0 and np.all(factors[:, 0] < 0.0):
         return [
             Finding("velocity_sign", "All speeds have the sign opposite to that of the positions.", middle, 0.0, "1")
         ]
     found = []
-    shared = len(names) > 2 and abs(middle - 1.0) > THRESHOLDS.velocity_gain
+    shared = len(names) > 2 and abs(middle - 1.0) > limit
     spread = float(np.median(np.abs(factors[:, 0] - middle)))
     if shared and spread < abs(middle - 1.0) / 3.0:
         std = 1.4826 * spread / np.sqrt(len(names))
@@ -61,7 +79,7 @@ def _factors(names: list[str], factors: Array) -> list[Finding]:
         middle = 1.0
     for name, (factor, std) in zip(names, factors, strict=True):
         off = factor / middle - 1.0
-        if abs(off) > THRESHOLDS.velocity_gain and abs(off) > THRESHOLDS.certain * std:
+        if abs(off) > limit and abs(off) > THRESHOLDS.certain * std:
             found.append(
                 Finding(
                     "velocity_factor",

@@ -54,13 +54,17 @@ def usual_effects(motion: Motion, joint: int) -> list[Effect]:
     ]
 
 
-def rival_effects(motion: Motion, joint: int, error: Array | None) -> list[Effect]:
+def rival_effects(
+    motion: Motion, joint: int, torque: Array, error: Array | None, names: tuple[str, ...] = ()
+) -> list[Effect]:
     """What may come on top of the usual effects, one at a time.
 
     Args:
         motion: of all joints.
         joint: number of the column.
-        error: N; command minus position where the torque is computed of it; None = it was measured.
+        torque: N, N·m, of the drive, filtered once.
+        names: of the joints, for the links that they carry.
+        error: N, filtered once; command minus position where the torque is computed of it; None = it was measured.
     """
     q, v, a = motion.q[:, joint], motion.v[:, joint], motion.a[:, joint]
     direction = np.sign(v)
@@ -78,9 +82,12 @@ def rival_effects(motion: Motion, joint: int, error: Array | None) -> list[Effec
     add("root_friction", "friction that grows with the root of speed", "N·m·√(s/rad)", direction * np.sqrt(np.abs(v)))
     add("viscous_by_direction", "viscous friction that depends on the direction", "N·m·s/rad", np.abs(v))
     add("load_friction", "friction that grows with the load, or efficiency by direction", "1",
-        direction * np.abs(rigid), largest=_LARGEST_SCALE)  # fmt: skip
+        direction * np.abs(torque), largest=_LARGEST_SCALE)  # fmt: skip
     if np.std(gravity) > 0.0:
         add("gravity_scale", "mass or its distance (all of gravity scaled)", "1", gravity, largest=_LARGEST_SCALE)
+    for name, doubled in zip(names, motion.of_links, strict=False):
+        if np.std(doubled[:, joint]) > 0.01 * np.std(torque):
+            add("link_mass", "mass of a link", "1", doubled[:, joint], shape=f"link of {name}")
     if np.std(rigid - gravity) > 0.0:
         add("inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1", rigid - gravity,
             largest=_LARGEST_SCALE)  # fmt: skip
@@ -88,9 +95,22 @@ def rival_effects(motion: Motion, joint: int, error: Array | None) -> list[Effec
     if np.std(gravity) > 0.0:
         add("mass_centre", "mass or centre of mass in the plane of the joint", "N·m", np.cos(q), np.sin(q),
             largest=_LARGEST_SCALE * float(np.max(np.abs(gravity))))  # fmt: skip
+    words = "gain, torque constant or gear ratio of the drive (all of its torque scaled)"
+    found.append(Effect("gain", words, "1", -torque[:, None], largest=_LARGEST_SCALE, made_of_torque=True))
     if error is not None:
-        words = "position gain or torque constant of the drive"
-        found.append(Effect("gain", words, "N·m/rad", -error[:, None], made_of_torque=True))
+        words = "position gain of the drive"
+        found.append(Effect("gain", words, "N·m/rad", -error[:, None], shape="kp", made_of_torque=True))
+        size = np.abs(torque)
+        lowest, highest = (float(x) for x in np.quantile(size, (0.5, 0.98)))
+        for limit in np.linspace(lowest, highest, 16):
+            beyond = np.sign(torque) * np.maximum(size - limit, 0.0)
+            found.append(Effect("saturation", "limit of the drive's torque", "1", beyond[:, None],
+                                shape=f"{limit:.3g} N·m", largest=1.5, made_of_torque=True))  # fmt: skip
+    for side in (1.0, -1.0):
+        low, high = np.quantile(side * q, (0.75, 0.998))
+        for angle in side * np.linspace(low, high, 20):
+            add("end_stop", "end stop", "N·m/rad", side * np.maximum(side * (q - angle), 0.0),
+                shape=f"{'above' if side > 0 else 'below'} {angle:.3g} rad")  # fmt: skip
     reach = float(np.ptp(q))
     for order in range(1, 61):
         if order * reach > 2.0 * np.pi:

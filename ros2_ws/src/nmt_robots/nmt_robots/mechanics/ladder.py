@@ -11,11 +11,12 @@ from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.columns import Effect, rival_effects, usual_effects
 from nmt_robots.mechanics.least_squares import Fit, fitted, solve
 from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.selection import Chooser, nuisances_of
 from nmt_robots.thresholds import THRESHOLDS
 
 USUAL = ("coulomb", "viscous", "armature", "offset")
-_RIVALS_AT_MOST = 3
 _LAST_PART = 0.7
+_FURTHER_AT_MOST = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,6 +75,9 @@ class JointMechanics:
         held_out, plain: torque left by these, and by the usual effects alone.
         rivals: words and gain of rivals that were not taken but also improve, best first.
         sticking_excess: share of sticking rows whose torque is beyond Coulomb friction.
+        causes: keys of the effects that are needed where all that is within its tolerance may move.
+        instead: keys of effects that would do about as well in the place of the first of them.
+        predicted: torque left with up to two of ``rivals`` on top, which predict but are not claimed.
     """
 
     shares: tuple[Share, ...]
@@ -81,6 +85,9 @@ class JointMechanics:
     plain: HeldOut
     rivals: tuple[tuple[str, float], ...]
     sticking_excess: float
+    causes: tuple[str, ...] = ()
+    instead: tuple[str, ...] = ()
+    predicted: HeldOut | None = None
 
     def share(self, key: str) -> Share | None:
         """An effect by its key."""
@@ -95,9 +102,12 @@ class JointProblem:
         joint: number of the column.
         torque: N, N·m, of the drive as it is read, unfiltered.
         error: N; command minus position, where the torque is computed of it.
+        names: of all joints.
     """
 
-    def __init__(self, motion: Motion, joint: int, torque: Array, error: Array | None) -> None:
+    def __init__(
+        self, motion: Motion, joint: int, torque: Array, error: Array | None, names: tuple[str, ...] = ()
+    ) -> None:
         self.motion, self.joint = motion, joint
         smooth = motion.smooth_twice(torque)
         self._rows = motion.moving[:, joint]
@@ -106,7 +116,8 @@ class JointProblem:
         self.left = self._every[self._rows]
         self.blocks = motion.blocks[self._rows]
         self.usual = usual_effects(motion, joint)
-        self.rivals = rival_effects(motion, joint, error)
+        once = motion.smooth(torque)
+        self.rivals = rival_effects(motion, joint, once, None if error is None else motion.smooth(error), names)
         self._filtered: dict[int, Array] = {}
 
     def columns(self, effects: list[Effect]) -> Array:
@@ -157,6 +168,30 @@ class JointProblem:
         std[free] = np.sqrt(std[free] ** 2 + np.sum(moved**2, axis=1))
         return replace(fit, std=std)
 
+    def needed(self, in_model: dict[str, float]) -> tuple[list[Effect], tuple[str, ...]]:
+        """Effects that are needed where all that is within its tolerance may move, the largest first.
+
+        Returns:
+            They, and keys of those that would do about as well in the place of the first.
+        """
+        angle = self.motion.smooth(self.motion.q[:, self.joint])[self._rows]
+        gravity = self.motion.gravity[self._rows, self.joint]
+        inertial = self.motion.rigid[self._rows, self.joint] - gravity
+        usual = [(effect, self.columns([effect])) for effect in self.usual]
+        nuisances = nuisances_of(usual, in_model, (angle, gravity, inertial), self.torque)
+        chooser = Chooser(self.left, self.torque, nuisances, float(np.count_nonzero(self._rows)) * self.motion.step_s)
+        rivals = [(effect, self.columns([effect])) for effect in self.rivals]
+        floor = _rms(self.left - np.column_stack([x.column for x in nuisances]) @ np.linalg.lstsq(
+            np.column_stack([x.column for x in nuisances]), self.left, rcond=1e-10)[0])  # fmt: skip
+        chosen = chooser.choose(self.usual, rivals, floor)
+        # Once more with what these leave over, which is less where a rival is needed.
+        others = [self.columns([effect]) for effect in chosen if effect.key not in USUAL]
+        matrix = np.column_stack([*(x.column for x in nuisances), *others])
+        left = _rms(self.left - matrix @ np.linalg.lstsq(matrix, self.left, rcond=1e-10)[0])
+        floor = max(left, 0.02 * float(np.std(self.torque)))
+        chosen = chooser.choose(self.usual, rivals, floor)
+        return chosen, chooser.instead_of_first(chosen, self.usual, rivals, floor)
+
     def excess_in_stick(self, coulomb: float) -> float:
         """Share of the rows that may stick in which the torque is beyond Coulomb friction by more than a tenth."""
         still = np.abs(self.motion.v[:, self.joint]) < 0.3 * THRESHOLDS.sticking_rad_s
@@ -171,34 +206,65 @@ def never_negative(effects: list[Effect]) -> Array:
     return np.concatenate([[effect.never_negative] * effect.parameters for effect in effects]).astype(bool)
 
 
-def explain(problem: JointProblem, kept: Sequence[tuple[str, str]] | None = None) -> JointMechanics:
+def explain(
+    problem: JointProblem, in_model: dict[str, float], kept: Sequence[tuple[str, str]] | None = None
+) -> JointMechanics:
     """The usual effects, and up to three rivals that earn their place.
 
     Args:
         problem: one joint.
+        in_model: values of the usual effects in the model, by key.
         kept: keys and shapes of effects that are taken without asking, instead of a choice.
     """
     effects = list(problem.usual)
     plain = now = problem.held_out(effects)
-    gains: list[tuple[Effect, float, HeldOut]] = []
+    gains: list[tuple[Effect, float]] = []
+    predicted: HeldOut | None = None
+    causes: list[str] = []
+    instead: tuple[str, ...] = ()
     if kept is not None:
         effects += [rival for rival in problem.rivals if (rival.key, rival.shape) in kept]
         now = problem.held_out(effects)
-    for _ in range(_RIVALS_AT_MOST if kept is None else 0):
-        chosen = {effect.key for effect in effects}
-        gains = _gains(problem, effects, now, [rival for rival in problem.rivals if rival.key not in chosen])
-        taken = next((item for item in gains if _earns_its_place(problem, effects, item[0])), None)
-        if taken is None:
-            break
-        effects.append(taken[0])
-        now = taken[2]
+    else:
+        needed, instead = problem.needed(in_model)
+        for effect in needed:
+            if effect.key in USUAL:
+                causes.append(effect.key)
+                continue
+            taken = _gains(problem, effects, now, [effect])
+            if taken and _earns_its_place(problem, effects, effect):
+                effects.append(effect)
+                causes.append(effect.key)
+                now = taken[0][2]
+        gains, predicted = _further(problem, effects, now)
     shares = _shares(problem, effects, problem.fit(effects), named=kept is None)
     coulomb = next(share.size for share in shares if share.effect.key == "coulomb")
     runners_up: dict[str, float] = {}
-    for effect, gain, _ in gains:
+    for effect, gain in gains:
         if effect.key not in {share.effect.key for share in shares}:
             runners_up.setdefault(effect.words, gain)
-    return JointMechanics(tuple(shares), now, plain, tuple(runners_up.items())[:3], problem.excess_in_stick(coulomb))
+    return JointMechanics(
+        tuple(shares), now, plain, tuple(runners_up.items())[:3], problem.excess_in_stick(coulomb),
+        tuple(causes), instead, predicted or now,
+    )  # fmt: skip
+
+
+def _further(problem: JointProblem, effects: list[Effect], now: HeldOut) -> tuple[list[tuple[Effect, float]], HeldOut]:
+    """Effects that predict held-out motion better on top, best first with their gain, and what they leave."""
+    taken: list[Effect] = []
+    listed: list[tuple[Effect, float]] = []
+    for _ in range(_FURTHER_AT_MOST + 1):
+        chosen = {effect.key for effect in [*effects, *taken]}
+        others = [rival for rival in problem.rivals if rival.key not in chosen]
+        gains = _gains(problem, [*effects, *taken], now, others)
+        best = next((item for item in gains if _earns_its_place(problem, [*effects, *taken], item[0])), None)
+        if best is None or len(taken) == _FURTHER_AT_MOST:
+            listed += [(effect, gain) for effect, gain, _ in gains]
+            break
+        taken.append(best[0])
+        listed.append(best[:2])
+        now = best[2]
+    return listed, now
 
 
 def _gains(
@@ -240,7 +306,7 @@ def _earns_its_place(problem: JointProblem, effects: list[Effect], rival: Effect
         if float(np.linalg.norm(fit.values[part])) > effect.largest:
             return False
         added = _rms(problem.columns([effect]) @ fit.values[part])
-        if effect.key not in USUAL and added > float(np.std(problem.torque)):
+        if effect.key not in USUAL and not effect.made_of_torque and added > float(np.std(problem.torque)):
             return False
     values, std = fit.values[-rival.parameters :], fit.std[-rival.parameters :]
     size = float(np.linalg.norm(values))

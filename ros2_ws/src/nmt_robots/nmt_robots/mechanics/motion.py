@@ -18,6 +18,8 @@ from nmt_robots.thresholds import THRESHOLDS
 
 _ROWS = 11
 _SPAN_S = 0.02
+_LONGEST_S = 0.06
+_ROUGH = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,7 @@ class Motion:
         gravity: N × J, N·m: the same at rest.
         moving: N × J; rows in which a joint is fast enough not to stick.
         blocks: N; number of the second that a row belongs to.
+        of_links: for each joint N × J, N·m: torque that the mass of its link takes, smoothed as ``rigid``.
     """
 
     step_s: float
@@ -43,6 +46,7 @@ class Motion:
     gravity: Array
     moving: Array
     blocks: Array
+    of_links: tuple[Array, ...] = ()
 
     def smooth(self, values: Array) -> Array:
         """What the filter leaves of values that were computed of the motion, N or N × J."""
@@ -72,11 +76,11 @@ def window_of(step_s: float) -> int:
 def motion_of(model: RobotModel, log: JointLog) -> Motion:
     """The motion of a log, and what it asks of the rigid bodies."""
     step, window = log.step_s, window_of(log.step_s)
-    q = smoothed(log.position, window)
-    v: Array = np.gradient(q, step, axis=0)
-    a: Array = np.empty_like(q)
-    a[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / step**2
-    a[[0, -1]] = a[[1, -2]]
+    q, v, a = _derived(log.position, step, window)
+    # A coarse encoder makes more acceleration than the motion has: then the filter is longer, up to its limit.
+    while 2 * window + 1 <= _LONGEST_S / step and _roughness(a, window) > _ROUGH:
+        window = round(1.4 * window) | 1
+        q, v, a = _derived(log.position, step, window)
     still = np.zeros_like(q)
     moving = np.abs(v) > THRESHOLDS.sticking_rad_s
     edge = window // 2
@@ -91,6 +95,33 @@ def motion_of(model: RobotModel, log: JointLog) -> Motion:
         smoothed(model.torque(log.joints, q, still, still), window), moving,
         np.floor(np.arange(len(q)) * step).astype(int),
     )  # fmt: skip
+
+
+def _derived(position: Array, step: float, window: int) -> tuple[Array, Array, Array]:
+    """Smoothed position, speed and acceleration."""
+    q = smoothed(position, window)
+    v: Array = np.gradient(q, step, axis=0)
+    a: Array = np.empty_like(q)
+    a[1:-1] = (q[2:] - 2.0 * q[1:-1] + q[:-2]) / step**2
+    a[[0, -1]] = a[[1, -2]]
+    return q, v, a
+
+
+def _roughness(a: Array, window: int) -> float:
+    """Share of the accelerations that one more filter takes away, largest over the joints that move at all."""
+    size = np.std(a, axis=0)
+    moving = size > 0.05 * float(np.max(size))
+    return float(np.max((np.std(a - smoothed(a, window), axis=0) / np.maximum(size, 1e-300))[moving]))
+
+
+def with_link_masses(model: RobotModel, log: JointLog, motion: Motion) -> Motion:
+    """The motion with what the mass of each joint's link takes of all torques."""
+    parts = (
+        model.torque(log.joints, motion.q, motion.v, motion.a, heavier=name)
+        - model.torque(log.joints, motion.q, motion.v, motion.a)
+        for name in log.joints
+    )
+    return replace(motion, of_links=tuple(motion.smooth(part) for part in parts))
 
 
 def with_yielding_base(model: RobotModel, log: JointLog, motion: Motion) -> Motion:

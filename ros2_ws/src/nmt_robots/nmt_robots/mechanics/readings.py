@@ -49,6 +49,14 @@ def changes_of(command: Array) -> Array:
     return np.flatnonzero(np.r_[True, np.any(np.diff(command, axis=0) != 0.0, axis=1)])
 
 
+def held_time(log: JointLog) -> float:
+    """Mean time for which a log keeps a command, s; a row's without commands."""
+    if log.position_command is None:
+        return log.step_s
+    rows = changes_of(log.position_command)
+    return float(np.median(np.diff(rows))) * log.step_s if len(rows) > 2 else log.step_s
+
+
 def late(values: Array, lag_s: float, step_s: float) -> Array:
     """Values as they were ``lag_s`` before each row; between rows on the line that joins them."""
     if lag_s == 0.0:
@@ -106,7 +114,7 @@ class DriveTorque:
         return late(torque, reading.torque_lag_s, self._step)
 
     def candidates(self, derived: bool = False, longest_s: float = 0.04) -> list[Reading]:
-        """Readings that the log allows: each lag of command and of torque, not both at once.
+        """Readings that the log allows: each lag of command and of torque; of both at once only small ones of torque.
 
         Args:
             derived: whether the logged speed has a fault, so that the drive may not have damped by it.
@@ -117,7 +125,12 @@ class DriveTorque:
         kinds = [HELD, SMOOTH] if self._is_held() else [HELD]
         found = [replace(Reading(kind), torque_lag_s=round(float(lag), 6)) for kind in kinds for lag in lags]
         if self.arithmetic:
-            found += [replace(Reading(kind), command_lag_s=round(float(lag), 6)) for kind in kinds for lag in lags]
+            found += [
+                replace(Reading(kind), command_lag_s=round(float(lag), 6), torque_lag_s=after)
+                for kind in kinds
+                for lag in lags
+                for after in (0.0, 0.001, 0.002)
+            ]
         if derived and self.arithmetic and self._log.velocity is not None:
             found += [replace(reading, derived=True) for reading in found]
         return list(dict.fromkeys(found))

@@ -14,6 +14,8 @@ from nmt_robots.mechanics.readings import DriveTorque, Reading
 from nmt_robots.thresholds import THRESHOLDS
 
 _GROUPS = 4
+_OTHER_KIND = 4.0
+"""Squared residual against that of the best up to which a reading of the other kind still widens every ±."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +54,7 @@ class ReadingScores:
                 number
                 for number, reading in enumerate(self.readings)
                 if reading.command == command
-                and getattr(reading, other) == 0.0
+                and getattr(reading, other) == getattr(self.best, other)
                 and reading.derived == self.best.derived
             ],
             dtype=int,
@@ -78,6 +80,29 @@ class ReadingScores:
             allowed = THRESHOLDS.fits_as_well + 2.0 * min(std, THRESHOLDS.fits_as_well)
             if number != first and self.relative[number] <= self.relative[first] * (1.0 + allowed):
                 found.append(reading)
+        return found + [reading for reading in self._of_other_kind() if reading not in found]
+
+    def alike(self, reading: Reading, other: Reading) -> bool:
+        """Whether two readings fit about as well."""
+        first, second = (float(self.relative[self.readings.index(item)]) for item in (reading, other))
+        return abs(first - second) <= 3.0 * THRESHOLDS.fits_as_well * min(first, second)
+
+    def _of_other_kind(self) -> list[Reading]:
+        """The best readings with only the command, and with only the torque late, where something is late.
+
+        To first order a late loop is damping and armature, so the fit alone tells the two apart too surely.
+        """
+        first = int(np.argmin(self.relative))
+        best = self.readings[first]
+        if max(abs(best.command_lag_s), abs(best.torque_lag_s)) <= THRESHOLDS.lag_s:
+            return []
+        found = []
+        for commanded in (True, False):
+            numbers = [n for n, reading in enumerate(self.readings) if bool(reading.command_lag_s) == commanded]
+            if numbers:
+                number = min(numbers, key=lambda n: self.relative[n])
+                if self.relative[number] < _OTHER_KIND * self.relative[first]:
+                    found.append(self.readings[number])
         return found
 
 

@@ -106,7 +106,9 @@ class RobotModel:
             )
         return tuple(by_name[name] for name in names)
 
-    def torque(self, names: tuple[str, ...], q: Array, v: Array, a: Array, yielding: bool = False) -> Array:
+    def torque(
+        self, names: tuple[str, ...], q: Array, v: Array, a: Array, yielding: bool = False, heavier: str = ""
+    ) -> Array:
         """Torque of the rigid bodies, without damping, friction and armature of the drives.
 
         Joints of the model that are not named stand still where its own pose has them. So does a base that floats,
@@ -116,6 +118,7 @@ class RobotModel:
             names: J joints of the columns.
             q, v, a: rows × J: angle, speed, acceleration in rad, rad/s, rad/s².
             yielding: whether a base that floats gives way. Its speed stays out of account.
+            heavier: joint whose link has twice its mass, at the same centre; empty = none.
 
         Returns:
             rows × J, N·m.
@@ -123,6 +126,8 @@ class RobotModel:
         mujoco, model, data = self._mujoco, self._model, self._data
         columns = np.array([self.names.index(name) for name in names])
         mujoco.mj_resetData(model, data)
+        body = int(model.jnt_bodyid[self.names.index(heavier) + int(self.floating)]) if heavier else 0
+        model.body_mass[body] *= 2.0
         result = np.empty(q.shape)
         positions, speeds = columns + self._first_position, columns + self._first_speed
         for row in range(len(q)):
@@ -133,6 +138,7 @@ class RobotModel:
             result[row] = data.qfrc_inverse[speeds]
             if yielding and self.floating:
                 result[row] += self._given_way(speeds)
+        model.body_mass[body] *= 0.5
         return result
 
     def _given_way(self, speeds: Array) -> Array:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from nmt_core.text.number_words import percent, value_text
 from nmt_robots.log.joint_log import Array
+from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.ladder import JointMechanics, Share
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.model.robot_model import Joint
@@ -119,6 +120,78 @@ def unjudged(joint: Joint, torque: float) -> JointVerdict:
     return JointVerdict(joint, None, (), torque, remains="does not move enough: move it alone over its range")
 
 
+def without_claims(verdict: JointVerdict, reason: str) -> JointVerdict:
+    """The answer with nothing claimed, and why."""
+    terms = tuple(replace(term, differs=False) for term in verdict.terms)
+    return replace(verdict, terms=terms, remains=f"{verdict.remains}; {reason}" if verdict.remains else reason)
+
+
+def undisturbed(verdicts: list[JointVerdict]) -> list[JointVerdict]:
+    """The answers with small claims taken back beside a joint that is not understood, whose motion is not known.
+
+    The mass of a link that several joints carry is claimed at its own joint.
+    """
+    shares = [
+        item.mechanics.held_out.interleaved / max(item.mechanics.held_out.torque, 1e-300)
+        for item in verdicts
+        if item.mechanics is not None
+    ]
+    disturbed = max(shares, default=0.0) > _DISTURBING
+    found = []
+    for verdict in verdicts:
+        terms = []
+        for term in verdict.terms:
+            elsewhere = term.key == "link_mass" and not term.words.endswith(f"link of {verdict.joint.name}")
+            unclear = disturbed and (term.key not in _FRICTION or term.share < _DISTURBING)
+            terms.append(replace(term, differs=term.differs and not elsewhere and not unclear))
+        found.append(replace(verdict, terms=tuple(terms)))
+    return found
+
+
+def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
+    """What single joints say of their drive: its gain, its torque constant, a limit of its torque."""
+    found = []
+    for verdict in verdicts:
+        best = verdict.mechanics
+        if best is None or best.held_out.interleaved >= THRESHOLDS.unexplained * best.held_out.torque:
+            continue
+        for share in best.shares:
+            if not share.effect.made_of_torque or share.effect.key not in best.causes:
+                continue
+            name = verdict.joint.name
+            bodies = share.effect.key == best.causes[0] and bool(_OF_BODIES & set(best.instead))
+            value = value_text(share.size, share.size_std, share.effect.unit if share.effect.unit != "1" else "")
+            if share.effect.key == "saturation":
+                sentence = f"{name}: the drive's torque ends at {share.effect.shape}; the computed one goes beyond."
+            elif share.effect.shape == "kp":
+                sentence = f"{name}: the position gain is off by {value} from what is stated."
+            else:
+                sentence = (
+                    f"{name}: the torque is off by {value} of itself: torque constant, gear ratio or both gains of "
+                    "the drive."
+                )
+            if bodies:
+                sentence += (
+                    " The mass of its link would do as well in this log: a known mass, hung on, tells them apart."
+                )
+            found.append(
+                Finding(
+                    share.effect.key, sentence, share.size, share.size_std, share.effect.unit, joints=(name,),
+                    fault=not bodies,
+                )
+            )  # fmt: skip
+    return found
+
+
+_WITH_A_MEAN = frozenset({"spring", "gravity_scale", "mass_centre", "link_mass", "ripple", "end_stop"})
+"""Effects whose own mean an offset takes."""
+_FRICTION = frozenset({"coulomb", "viscous", "stribeck", "load_friction", "spring", "ripple", "end_stop"})
+"""Effects that the motion of other joints does not make."""
+_OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
+_DISTURBING = 0.15
+"""Torque left over in a joint, as a share, from which others beside it pay for its motion."""
+_ABOVE_WHAT_IS_LEFT = 0.7
+"""A claim takes at least so much of the torque against what stays without a name."""
 _TOLERANCES = {
     "coulomb": THRESHOLDS.coulomb_tolerance,
     "viscous": THRESHOLDS.damping_tolerance,
@@ -139,13 +212,17 @@ def joint_verdict(
         plain: torque and what the plain fit leaves of the log at its word, N·m.
     """
     best = results[0]
-    in_model = {"coulomb": joint.coulomb, "viscous": joint.damping, "armature": joint.armature}
+    in_model = values_in_model(joint)
+    explained = best.held_out.interleaved < THRESHOLDS.unexplained * best.held_out.torque
     terms = []
     for share in best.shares:
         key = share.effect.key
         others = [_size_in(result, share) for result in results[1:]]
         deviation = max((abs(other - share.size) for other in others), default=0.0)
         std = float(np.hypot(share.size_std, deviation))
+        if key == "load_friction":
+            # Of the torque or of the load: the same to first order.
+            std = float(np.hypot(std, share.size**2))
         reference = in_model.get(key, 0.0)
         difference = share.size - reference
         unit_rms = share.rms / abs(share.size) if share.size else 0.0
@@ -156,6 +233,11 @@ def joint_verdict(
             and abs(difference) > THRESHOLDS.certain * std
             and abs(difference) > THRESHOLDS.certain * tolerance
             and share.impossible == 0.0
+            and key in best.causes
+            and explained
+            and not (key == "offset" and _WITH_A_MEAN & set(best.causes))
+            and part > best.held_out.interleaved / max(best.held_out.torque, 1e-300) * _ABOVE_WHAT_IS_LEFT
+            and not share.effect.made_of_torque
         )
         words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
         terms.append(
@@ -164,11 +246,17 @@ def joint_verdict(
         )  # fmt: skip
     # An offset is what other terms leave of their mean: it stands behind them.
     terms.sort(key=lambda term: (not term.differs, term.key == "offset", -term.share))
+    after = best.predicted or best.held_out
     unchanged = _left_by_model(motion, number, best, in_model)
     return JointVerdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
-        best.held_out.interleaved, best.plain.last, best.held_out.last, _remains(best),
+        after.interleaved, best.plain.last, after.last, _remains(best),
     )  # fmt: skip
+
+
+def values_in_model(joint: Joint) -> dict[str, float]:
+    """What the model has of the usual effects, by key."""
+    return {"coulomb": joint.coulomb, "viscous": joint.damping, "armature": joint.armature}
 
 
 def _size_in(result: JointMechanics, share: Share) -> float:
@@ -191,10 +279,13 @@ def _left_by_model(motion: Motion, number: int, best: JointMechanics, in_model: 
 
 def _remains(best: JointMechanics) -> str:
     """What is left over, and what it may be."""
-    share = best.held_out.interleaved / max(best.held_out.torque, 1e-300)
+    after = best.predicted or best.held_out
+    share = after.interleaved / max(after.torque, 1e-300)
     words = f"{percent(share)} of the torque"
+    if share >= THRESHOLDS.unexplained:
+        words += ", too much for any claim"
     if best.rivals:
-        words += f"; improves a little, but is not claimed: {', '.join(name for name, _ in best.rivals)}"
+        words += f"; predicts better, but is not claimed: {', '.join(name for name, _ in best.rivals)}"
     if best.sticking_excess > 0.5:
         words += "; torque in rows that stick is beyond Coulomb friction (breakaway or pre-sliding, not told)"
     return words

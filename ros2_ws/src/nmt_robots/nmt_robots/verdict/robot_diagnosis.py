@@ -15,17 +15,36 @@ from nmt_robots.log.columns_of_file import read_columns
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.log.robot_sidecar import read_robot_sidecar, sidecar_of_text
+from nmt_robots.log_faults.assignment import assignment_findings
 from nmt_robots.log_faults.drive import order_findings, reading_findings, torque_findings
 from nmt_robots.log_faults.finding import Finding
+from nmt_robots.log_faults.repair import (
+    in_radians,
+    on_even_clock,
+    stale_rows,
+    stamps_agree,
+    time_by_motion,
+    time_with_missing_rows,
+    unwrapped,
+    with_fresh_rows,
+)
 from nmt_robots.log_faults.rows import row_findings
-from nmt_robots.log_faults.velocity import velocity_findings
+from nmt_robots.log_faults.velocity import velocity_findings, with_right_speeds
 from nmt_robots.mechanics.ladder import JointMechanics, JointProblem, explain
-from nmt_robots.mechanics.motion import Motion, motion_of, with_yielding_base
-from nmt_robots.mechanics.readings import DriveTorque, Reading
+from nmt_robots.mechanics.motion import Motion, motion_of, with_link_masses, with_yielding_base
+from nmt_robots.mechanics.readings import DriveTorque, Reading, held_time
 from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
-from nmt_robots.model.robot_model import RobotModel
+from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
-from nmt_robots.verdict.joint_verdict import JointVerdict, joint_verdict, unjudged
+from nmt_robots.verdict.joint_verdict import (
+    JointVerdict,
+    joint_verdict,
+    scale_findings,
+    undisturbed,
+    unjudged,
+    values_in_model,
+    without_claims,
+)
 
 Progress = Callable[[str], None]
 
@@ -112,40 +131,96 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     robot = RobotModel(model)
     log = read_log(real, model)
     joints = robot.chosen(log.joints)
-    drive = DriveTorque(log)
     progress("torque of the rigid bodies")
-    motion = motion_of(robot, log)
-    if not np.any(motion.moves):
-        raise BenchError(f"{log.source}: no joint moves in {100 * THRESHOLDS.moving_rows:.0f} % of the rows.")
+    log, motion, found = mended(robot, log, joints)
+    drive = DriveTorque(log)
     progress("looking at the log")
     plain_torque = drive.torque(Reading())
-    found = [
-        *row_findings(log, motion),
+    found += [
         *velocity_findings(log, motion),
         *torque_findings(log, joints, plain_torque),
         *order_findings(log, joints, motion, plain_torque),
     ]
+    log = with_right_speeds(log, motion)
+    drive = DriveTorque(log)
+    found += assignment_findings(robot, log, motion, drive.torque(Reading()))
     derived = any(finding.fault and finding.key.startswith("velocity") for finding in found)
     scores = compare_readings(motion, drive, derived)
-    found += reading_findings(scores)
     plain = _plain_left(motion, plain_torque)
     if robot.floating:
         motion, scores, finding = with_base(robot, log, motion, drive, scores, derived)
         found += finding
-    reading = scores.best
-    as_well = _few(scores.fit_as_well())
-    torques = [drive.torque(item) for item in as_well]
-    errors = [drive.error(item) if drive.arithmetic else None for item in as_well]
+    motion = with_link_masses(robot, log, motion)
+    believed = [values_in_model(joint) for joint in joints]
+    progress("joints")
+    as_well, results = _understood(motion, drive, scores, believed, log.joints)
+    if as_well[0] == scores.best:
+        found += reading_findings(scores, held_time(log))
     verdicts = []
     for number, joint in enumerate(joints):
-        progress(f"joint {joint.name}")
-        if not motion.moves[number]:
+        if number in results:
+            verdicts.append(joint_verdict(joint, motion, number, results[number], plain[number]))
+        else:
             verdicts.append(unjudged(joint, float(np.std(plain_torque[:, number]))))
-            continue
-        results = _explained(motion, number, torques, errors)
-        verdicts.append(joint_verdict(joint, motion, number, results, plain[number]))
+    verdicts = undisturbed(verdicts)
+    found += scale_findings(tuple(verdicts))
+    if {finding.key for finding in found if finding.fault} & {"order", "joint_sign", "gravity_sign", "clock_factor"}:
+        verdicts = [
+            without_claims(item, "order, sign or clock of the columns is wrong: nothing is claimed")
+            for item in verdicts
+        ]
     ordered = sorted(found, key=lambda item: not item.fault)
-    return RobotDiagnosis(robot, log, motion, tuple(ordered), reading, tuple(as_well), tuple(verdicts))
+    return RobotDiagnosis(robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts))
+
+
+def mended(robot: RobotModel, log: JointLog, joints: tuple[Joint, ...]) -> tuple[JointLog, Motion, list[Finding]]:
+    """The log with turns, degrees, rows and clock put right, its motion, and what was found on them.
+
+    Raises:
+        BenchError: no joint moves.
+    """
+    log, found = unwrapped(log, joints)
+    log, in_degrees = in_radians(log, joints)
+    motion = motion_of(robot, log)
+    if not np.any(motion.moves):
+        raise BenchError(f"{log.source}: no joint moves in {100 * THRESHOLDS.moving_rows:.0f} % of the rows.")
+    rows = row_findings(log, motion)
+    keys = {finding.key for finding in rows}
+    changed = log
+    if "rows_repeated" in keys:
+        changed = with_fresh_rows(changed, stale_rows(log, motion.moving))
+        motion = motion_of(robot, changed)
+        # Repeated rows look like a clock that jitters.
+        rows = [
+            *(finding for finding in rows if finding.key != "hidden_jitter"),
+            *(finding for finding in row_findings(changed, motion) if finding.key == "hidden_jitter"),
+        ]
+    time, missing = time_with_missing_rows(changed)
+    if missing and not keys & {"rows_missing", "rows_repeated"}:
+        sentence = (
+            f"{missing} rows are missing on a clock that does not say so: between some rows the joints went twice as "
+            "far as their speed. The time is counted anew."
+        )
+        rows = [*(item for item in rows if item.key != "hidden_jitter"), Finding("rows_missing", sentence, missing, 0.0,
+                "rows")]  # fmt: skip
+        changed = on_even_clock(changed, time)
+    elif keys & {"uneven_clock", "rows_missing"} and stamps_agree(changed):
+        changed = on_even_clock(changed, changed.time)
+    elif any(finding.key == "hidden_jitter" for finding in rows):
+        changed = on_even_clock(changed, time_by_motion(changed))
+    if changed is not log:
+        counted, plain = motion_of(robot, changed), motion_of(robot, log)
+        # What was mended has to serve the mechanics of all joints, too.
+        if _least_left(changed, counted) > _least_left(log, plain):
+            as_it_is = (item for item in row_findings(log, plain) if item.key != "hidden_jitter")
+            return log, plain, [*found, *in_degrees, *as_it_is]
+        motion = counted
+    return changed, motion, [*found, *in_degrees, *rows]
+
+
+def _least_left(log: JointLog, motion: Motion) -> float:
+    """Mean squared residual over torque of the reading that fits best."""
+    return float(np.min(compare_readings(motion, DriveTorque(log)).relative))
 
 
 def read_log(real: Path, model: Path) -> JointLog:
@@ -198,14 +273,43 @@ def _few(readings: list[Reading]) -> list[Reading]:
     return chosen
 
 
-def _explained(motion: Motion, joint: int, torques: list[Array], errors: list[Array | None]) -> list[JointMechanics]:
-    """The mechanics of a joint under the reading taken, and of the same effects under the others."""
-    results: list[JointMechanics] = []
-    for torque, error in zip(torques, errors, strict=True):
-        problem = JointProblem(motion, joint, torque[:, joint], None if error is None else error[:, joint])
-        keys = None if not results else [(s.effect.key, s.effect.shape) for s in results[0].shares]
-        results.append(explain(problem, keys))
-    return results
+def _understood(
+    motion: Motion, drive: DriveTorque, scores: ReadingScores, believed: list[dict[str, float]], names: tuple[str, ...]
+) -> tuple[list[Reading], dict[int, list[JointMechanics]]]:
+    """How the log is read, best first, and the mechanics of each joint that moves under each of the readings.
+
+    A reading other than the log at its word has to explain more than that does with the causes that it needs: what a
+    gain or a spring does to the torque would else be made of delays.
+    """
+    movers = [int(number) for number in np.flatnonzero(motion.moves)]
+
+    def explained(reading: Reading) -> dict[int, JointMechanics]:
+        torque, error = drive.torque(reading), drive.error(reading) if drive.arithmetic else None
+        found = {}
+        for number in movers:
+            column = None if error is None else error[:, number]
+            found[number] = explain(JointProblem(motion, number, torque[:, number], column, names), believed[number])
+        return found
+
+    def left(found: dict[int, JointMechanics]) -> float:
+        return float(np.mean([(item.held_out.interleaved / item.held_out.torque) ** 2 for item in found.values()]))
+
+    readings = _few(scores.fit_as_well())
+    first = explained(readings[0])
+    if readings[0] != Reading():
+        plain = explained(Reading())
+        if left(plain) < (1.0 + THRESHOLDS.fits_as_well) * left(first):
+            alike = [item for item in readings if item != Reading() and scores.alike(item, Reading())]
+            readings, first = [Reading(), *alike], plain
+    results = {number: [first[number]] for number in movers}
+    for reading in readings[1:]:
+        torque, error = drive.torque(reading), drive.error(reading) if drive.arithmetic else None
+        for number in movers:
+            kept = [(share.effect.key, share.effect.shape) for share in first[number].shares]
+            column = None if error is None else error[:, number]
+            problem = JointProblem(motion, number, torque[:, number], column, names)
+            results[number].append(explain(problem, believed[number], kept))
+    return readings, results
 
 
 def _plain_left(motion: Motion, torque: Array) -> list[tuple[float, float]]:

@@ -15,15 +15,18 @@ from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
-from nmt_diagnose.ledger.rules import OF_EFFECTS, pass_all
+from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
     Size,
+    beside_simpler,
     implausible_parameters,
+    largest_left,
     leaves_something,
     left_over,
+    left_within_belief,
     needed,
     relief,
-    strained,
+    strained_chain,
     tension,
 )
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
@@ -100,21 +103,36 @@ def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() ->
     assert taken(20.0, other) is None
 
 
-def test_an_error_of_the_chain_counts_where_it_is_incredible_and_matters() -> None:
-    search, null = searched_model()
-    position = search.data.chain_names.index("gain x1")
+def with_gains(gain: float) -> Rig:
+    """The model with all accelerometers louder."""
+    sensors = [it.model_dump() for it in MODEL.sensors]
+    return real(MODEL, sensors=[{**it, "gain": gain} if it["quantity"] == "acceleration" else it for it in sensors])
 
-    def pulled(sigmas: float, matters: float) -> float:
-        chain = np.zeros_like(null.fit.errors.chain)
-        chain[position] = sigmas
-        errors = replace(null.fit.errors, chain=chain)
-        found = FittedExplanation((), replace(null.fit, theta=np.zeros_like(null.fit.theta), errors=errors))
-        return strained(search.data, found, dict.fromkeys(("frequency", "damping", "response", "harmonics"), matters))
 
-    count = len(null.fit.parametrisation.calibration) + null.fit.errors.chain.size
-    edge = float(norm.isf(THRESHOLDS.comparison.incredible_probability / (2.0 * count)))  # Bonferroni
-    assert pulled(0.99 * edge, 1e-6) > THRESHOLDS.comparison.incredible_probability > pulled(1.01 * edge, 1e-6)
-    assert pulled(2.0 * edge, 1.0) == 1.0  # a gain that is off by some per cent moves nothing by all of it
+def test_an_error_of_the_chain_counts_where_rows_leave_what_matters_without_it() -> None:
+    """A gain of 2.7 % where 1 % is assumed is told as that; one of 20 % leaves rows without it."""
+    wanted = DiagnosisSettings().matters
+    search, null = searched(with_gains(1.06))
+    assert not leaves_something(search.data, null, wanted)
+    (sentence,) = strained_chain(search.data, null, wanted)
+    assert "gain " in sentence
+    assert "% of a response" in sentence
+    assert strained_chain(searched_model()[0].data, searched_model()[1], wanted) == ()
+    search, null = searched(with_gains(1.2))
+    assert largest_left(search.data, null, wanted) < 1.0
+    assert left_within_belief(search.data, null, wanted) > 1.0
+    assert leaves_something(search.data, null, wanted)
+
+
+def test_what_brings_a_chain_back_to_what_is_believed_is_no_effect_while_no_row_needs_it() -> None:
+    search, null = searched(with_gains(1.06))
+    wanted = DiagnosisSettings().matters
+    gains = [score for score in search.scores(null) if "gain" in search.candidates[score.candidate].effect.name]
+    louder = search.added(null, gains[0])
+    assert louder is not None
+    facts = beside_simpler(search.data, louder, null, wanted)
+    assert WITHIN(facts).passed is (not facts.left_within < 1.0)
+    assert needed(search.data, louder, [null], wanted).stated == ()
 
 
 def test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matters() -> None:

@@ -35,8 +35,8 @@ from nmt_diagnose.ledger.gap import rms
 from nmt_diagnose.ledger.held_out import HeldOut, named_tests, splits
 from nmt_diagnose.ledger.judgement import Judgement, judged
 from nmt_diagnose.ledger.ledger import ledger_of
-from nmt_diagnose.ledger.rules import GAP
-from nmt_diagnose.ledger.size import large_lines, measured_size
+from nmt_diagnose.ledger.rules import GAP, NEEDED, WITHIN
+from nmt_diagnose.ledger.size import large_lines, measured_size, strained_chain
 from nmt_diagnose.ledger.warnings import warned, without_observables
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -46,7 +46,7 @@ from nmt_diagnose.say.remainder import remainder
 from nmt_diagnose.say.residual_map import per_observable, residual_map
 from nmt_diagnose.say.residual_tests import residual_tests
 from nmt_diagnose.say.result_rows import calibration_rows, candidate_row, inputs, parameters, place_rows, ranked_rows
-from nmt_diagnose.say.sentences import likeness, sentences
+from nmt_diagnose.say.sentences import likeness, relieving, sentences
 from nmt_diagnose.search.findings import find
 from nmt_diagnose.search.memory import Memory
 from nmt_diagnose.search.progress import Progress
@@ -256,7 +256,7 @@ def _diagnosed(
         ledger=ledger_of(judgement),
     )
     model = rig if verdict is Verdict.NONE else judgement.best.rig
-    if verdict is Verdict.UNKNOWN and law is not None and law.is_stated:
+    if law is not None and judgement.law_leads:
         model = with_law(rig, law)
     return DiagnosisOutcome(
         diagnosis, left.observations, rig, model, findings.as_given_errors.values, null.fit.errors.values,
@@ -396,10 +396,18 @@ def _sentences(
         size = measured_size(findings.data, small)
         like = likeness(small.fitted, parameters(findings.data, small))
         text = (*text, f"{size.sentence(settings.matters)} {like}")
-    text = (*text, *law_sentences(judgement.law, verdict is Verdict.UNKNOWN))
+    if verdict in (Verdict.NONE, Verdict.CALIBRATION):
+        text = (*text, *strained_chain(findings.data, findings.null, settings.matters))
+    if judgement.named is not None:
+        text = (*text, *_relieving(findings.data, judgement.best))
+    from_law = law_sentences(judgement.law, judgement.law_leads)
+    text = (*from_law, *text) if judgement.partial and judgement.law_leads else (*text, *from_law)
     if verdict is Verdict.UNKNOWN and not GAP(judgement.alone).passed:
         share_of_signal, whose = findings.unexplained
-        text = (f"The model leaves {100.0 * share_of_signal:.2g} % of the signal of {whose}, which is no noise.", *text)
+        contradicts = f"The model leaves {100.0 * share_of_signal:.2g} % of {whose}, which is no noise."
+        if findings.contradiction is not None and share_of_signal < THRESHOLDS.verdict.unexplained_share:
+            contradicts = f"Of the model alone {findings.contradiction.sentence}."
+        text = (contradicts, *text)
     if findings.factors:
         named_factors = (found.sentence for found in findings.factors)
         text = (*named_factors, "Effects are judged once units and signs of the recording are right.")
@@ -407,6 +415,17 @@ def _sentences(
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     return text, warnings, answer.where
+
+
+def _relieving(data: Data, best: FittedExplanation) -> tuple[str, ...]:
+    """Sentences on effects of an explanation that only bring model and chain back to what is believed of them."""
+    every = range(len(best.candidates))
+    only = [
+        replace(best, small=frozenset(every) - {number})
+        for number in sorted(best.small)
+        if number in best.beside and NEEDED(best.beside[number]).passed and not WITHIN(best.beside[number]).passed
+    ]
+    return tuple(relieving(it.explanation, parameters(data, it)) for it in only)
 
 
 def _learnt_scales(data: Data, found: FittedExplanation) -> dict[str, float]:

@@ -111,7 +111,6 @@ class Score:
         gain: fall of the cost.
         reach: standard deviations for each unit of strength.
         column: change of the rows over the strength, over σ, (m,).
-        relief: part of the gain by parameters and chain that return to what is believed of them.
         signed: whether the strength may have either sign.
         origin: parameters that the column is of, of strength 0 where it is a derivative there; None = not known.
     """
@@ -121,7 +120,6 @@ class Score:
     gain: float
     reach: float
     column: FloatArray
-    relief: float = 0.0
     signed: bool = True
     origin: FloatArray | None = None
 

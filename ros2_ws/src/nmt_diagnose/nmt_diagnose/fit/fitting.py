@@ -8,7 +8,7 @@ reweighted linear solutions; θ itself by Levenberg's damping.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -66,6 +66,7 @@ class Data:
         used: rows that are compared, (m,).
         lines: rows of the magnitude and of the phase of each line of random tests, (2, k).
         key: of these data and no others.
+        known: of fits to these data, what takes long to compute.
     """
 
     observations: Observations
@@ -79,6 +80,7 @@ class Data:
     used: BoolArray
     lines: IntArray
     key: object = field(init=False, repr=False, compare=False, default_factory=object)
+    known: dict[object, float] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def tails(self, errors: ChainErrors) -> FloatArray:
         """Probability that what a fit leaves in each group is noise, by its size and by its trend, (2K,)."""
@@ -260,6 +262,17 @@ class ChainErrors:
     products: FloatArray = field(default_factory=lambda: np.zeros((0, 0, 0)))
 
 
+def chain_errors_at(data: Data, values: FloatArray, chain: FloatArray) -> ChainErrors:
+    """What errors of the chain, (r,), leave beside the values of a model, (m,); without derivatives."""
+    groups, counts = data.groups, data.counts
+    moved = values + data.chain @ chain
+    left = data.whitened(data.residual_of(moved, chain))
+    squares = groups.sums(left * left)
+    weights = groups.weights(squares, counts)[groups.of]
+    cost = groups.cost(squares, counts) + float(chain @ chain)
+    return ChainErrors(chain, np.zeros((0, 0)), left, weights, squares, cost, moved, data.key)
+
+
 def best_chain_errors(data: Data, values: FloatArray, start: ChainErrors | None = None) -> ChainErrors:
     """Errors of the chain and scales that explain the observations best.
 
@@ -272,16 +285,7 @@ def best_chain_errors(data: Data, values: FloatArray, start: ChainErrors | None 
         start: of a prediction nearby.
     """
     groups, counts = data.groups, data.counts
-    count = data.chain.shape[1]
-
-    def at(chain: FloatArray) -> ChainErrors:
-        moved = values + data.chain @ chain
-        left = data.whitened(data.residual_of(moved, chain))
-        squares = groups.sums(left * left)
-        weights = groups.weights(squares, counts)[groups.of]
-        cost = groups.cost(squares, counts) + float(chain @ chain)
-        return ChainErrors(chain, np.zeros((0, 0)), left, weights, squares, cost, moved, data.key)
-
+    count, at = data.chain.shape[1], partial(chain_errors_at, data, values)
     best = at(np.zeros(count))
     slopes, damping = np.zeros((0, 0)), 0.0
     products = np.zeros((0, 0, 0))

@@ -69,9 +69,9 @@ class Whitening:
 
     def __init__(self, observations: Observations, share: FloatArray, which: BoolArray) -> None:
         by_size: dict[int, list[IntArray]] = {}
-        for series in _series(observations, which & (share > 0.0)):
-            by_size.setdefault(series.size, []).append(series)
-        where = _where(observations)
+        for course in series_of(observations, which & (share > 0.0)):
+            by_size.setdefault(course.size, []).append(course)
+        where = where_of(observations)
         self._blocks: list[tuple[IntArray, FloatArray, FloatArray]] = []
         for size, members in by_size.items():
             if size < 2:
@@ -103,7 +103,7 @@ class Whitening:
         return result
 
 
-def _series(observations: Observations, which: BoolArray) -> list[IntArray]:
+def series_of(observations: Observations, which: BoolArray) -> list[IntArray]:
     """Rows of one test, part, channel and order, for all of them."""
     rows = observations.rows
     selected = np.flatnonzero(which)
@@ -116,7 +116,7 @@ def _series(observations: Observations, which: BoolArray) -> list[IntArray]:
     return [selected[piece] for piece in np.split(order, ends)]
 
 
-def _where(observations: Observations) -> FloatArray:
+def where_of(observations: Observations) -> FloatArray:
     """Logarithm of level or frequency over the length that a misfit keeps, (m,)."""
     rows = observations.rows
     lines = [n for n, test in enumerate(observations.tests) if test.over_frequency]

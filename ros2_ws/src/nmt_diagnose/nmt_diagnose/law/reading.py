@@ -109,6 +109,10 @@ class LawReading:
         """Whether the law is told."""
         return bool(self.laws) and not self.refusals
 
+    def closes_more_than(self, share: float) -> bool:
+        """Whether levels that were left out, the top two too, are told better than by what closes such a share."""
+        return min(self.closed_inside, self.closed_above) > share
+
 
 def read_law(rig: Rig, observations: Observations) -> LawReading | None:
     """The law of the local force that the model lacks; None where no held levels tell one.

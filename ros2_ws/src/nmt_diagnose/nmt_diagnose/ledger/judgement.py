@@ -81,6 +81,18 @@ class Judgement:
         in_order = not (self.findings.inadequate or self.findings.factors)
         return self.findings.law if self.partial or (self.verdict is Verdict.UNKNOWN and in_order) else None
 
+    @property
+    def law_leads(self) -> bool:
+        """Whether the law is the answer and is written: nothing is stated, or what is stated closes less than it."""
+        law = self.law
+        if law is None or not law.is_stated:
+            return False
+        return (
+            self.nearest is None
+            or not self.partial
+            or law.closes_more_than(self.shares[self.nearest.head.explanation].value)
+        )
+
 
 def judged(findings: Findings, held_out: HeldOut, settings: DiagnosisSettings) -> Judgement:
     """The judgement of some findings.
@@ -109,7 +121,10 @@ def _alone(findings: Findings, settings: DiagnosisSettings) -> Facts:
         log_odds=findings.comparison.log_odds,
         modes=len(findings.inadequate),
         factors=len(findings.factors),
-        left=findings.unexplained[0] / THRESHOLDS.verdict.unexplained_share,
+        left=max(
+            findings.unexplained[0] / THRESHOLDS.verdict.unexplained_share,
+            0.0 if findings.contradiction is None else findings.contradiction.over,
+        ),
         left_without=fall,
     )
     if fall < 1.0:

@@ -20,6 +20,9 @@ from nmt_diagnose.ledger.diagnosis import PlaceShare
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
+# One damping alone is of a level that may be an exception.
+_FEWEST_DAMPINGS = 2
+
 
 @dataclass(frozen=True)
 class Factor:
@@ -148,10 +151,9 @@ def _factor(observations: Observations, predicted: FloatArray, used: BoolArray, 
 
 
 def share_left(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[float, str]:
-    """The largest share of its signal that a channel leaves beyond noise, and whose it is.
+    """The largest share that a channel leaves of its signal, or a test of its damping, beyond noise; and of what.
 
-    The noise is what the recordings show of themselves: a channel that leaves no more than several times that leaves
-    nothing.
+    The noise is what the recordings show of themselves: what leaves no more than several times that leaves nothing.
 
     Args:
         observations: the real side, its uncertainties as they were read.
@@ -177,5 +179,20 @@ def share_left(observations: Observations, predicted: FloatArray, used: BoolArra
                 if of_signal > THRESHOLDS.verdict.unexplained_noises * of_noise:
                     share = max(share, of_signal)
             if share > worst:
-                worst, whose = share, f"{channel.name} in {test.name}"
+                worst, whose = share, f"the signal of {channel.name} in {test.name}"
+        share = _share_of_damping(observations, predicted, used & (rows.test == number))
+        if share > worst:
+            worst, whose = share, f"the damping in {test.name}"
     return worst, whose
+
+
+def _share_of_damping(observations: Observations, predicted: FloatArray, used: BoolArray) -> float:
+    """Share of the damping that is left, in the median level: of the measured or the predicted, whichever is larger."""
+    which = used & np.isfinite(predicted) & (observations.rows.part == Part.DAMPING)
+    if int(which.sum()) < _FEWEST_DAMPINGS:
+        return 0.0
+    measured, noise = observations.values[which], observations.sigma[which]
+    size = np.maximum(np.maximum(np.abs(measured), np.abs(predicted[which])), 1e-300)
+    share = float(np.median(np.abs(measured - predicted[which]) / size))
+    beyond_noise = share > THRESHOLDS.verdict.unexplained_noises * float(np.median(noise / size))
+    return share if beyond_noise else 0.0

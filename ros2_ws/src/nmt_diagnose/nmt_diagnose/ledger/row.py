@@ -20,6 +20,8 @@ class Facts:
         behind_most: ln evidence of the last that was fitted on behind the best, where there are more than may be.
         left_without: what is left without its effect over what matters; or by how much model and measuring chain
             return to what is believed of them, over what chance does.
+        left_within: what is left without its effect over what matters, where model and measuring chain stay within what
+            is believed of them; asked where the effect only brings them back there.
         change: of the predictions by its effect, over what matters.
         log_odds: ln of the odds of any gap.
         modes: of the recordings that the model lacks or has in another order.
@@ -44,6 +46,7 @@ class Facts:
     behind: float = _NOT_ASKED
     behind_most: float = math.inf
     left_without: float = _NOT_ASKED
+    left_within: float = _NOT_ASKED
     change: float = _NOT_ASKED
     log_odds: float = _NOT_ASKED
     modes: int = 0

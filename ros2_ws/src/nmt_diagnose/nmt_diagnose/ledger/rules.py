@@ -78,9 +78,18 @@ IN_REACH = Rule(
 )
 NEEDED = Rule(
     "needed",
-    "Without it more is left than noise that matters, or model and measuring chain are strained.",
+    "Without it more is left than noise that matters, or model and measuring chain are further from what is believed "
+    "of them.",
     "of what counts",
     lambda facts: facts.left_without,
+    lambda facts: 1.0,
+)
+WITHIN = Rule(
+    "within",
+    "What only brings model and measuring chain back to what is believed of them: rows leave what matters without it "
+    "where they stay there.",
+    "of what matters",
+    lambda facts: facts.left_within,
     lambda facts: 1.0,
 )
 MATTERS = Rule(
@@ -154,7 +163,7 @@ CLOSES = Rule(
 
 OF_SEARCH = (PROMISING, IN_REACH)
 """Which explanations are fitted to the end."""
-OF_EFFECTS = (NEEDED, MATTERS)
+OF_EFFECTS = (NEEDED, WITHIN, MATTERS)
 """Which effects of an explanation are stated, and whether the model's own parameters were off."""
 OF_ALL = (COMPARABLE, GAP)
 """Whether anything is stated."""

@@ -7,20 +7,24 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri, ndtr
+from scipy.special import chdtrc, chdtri, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.fit.candidate_starts import at_zero, strength_parameter
+from nmt_diagnose.fit.credible_fit import within_belief
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Data, predicted
 from nmt_diagnose.fit.noise import sigma_of
 from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.row_scatter import row_scatter
 from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, pass_all
 from nmt_diagnose.observations.observables import Natural, Observations, Part, parts_where, with_natural
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _PERCENT = 100.0
+# Of a strained chain, the furthest first.
+_NAMED_ERRORS = 3
 
 
 @dataclass(frozen=True)
@@ -161,6 +165,21 @@ def largest_left(data: Data, found: FittedExplanation, wanted: Mapping[str, floa
     return max([stands_out, *(left.over for left in left_sizes(data, found, wanted, loop))])
 
 
+def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> Objection | None:
+    """What a fit leaves that is more than noise and matters, where the whole of it is visibly more than noise; or None.
+
+    Beside it no gap is denied, however probable "no gap" came out: whatever scale the noise has learnt from a misfit,
+    it is no more than neighbouring rows scatter. Arguments as of :func:`left_over`.
+    """
+    errors = found.fit.errors
+    largest = row_scatter(data.observations, errors.values, data.sigma).largest_scale(data.groups.of, len(data.counts))
+    weights = np.maximum(errors.weights, 1.0 / largest[data.groups.of])
+    left = (errors.residual * np.sqrt(weights))[data.used]
+    if not left.size or float(np.sqrt(np.mean(left**2))) <= THRESHOLDS.verdict.left_over_scale:
+        return None
+    return next(iter(left_over(data, found, wanted)), None)
+
+
 def implausible_parameters(data: Data, found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
     """The model's own parameter furthest from what is believed of it, where that is improbable (Bonferroni).
 
@@ -230,7 +249,7 @@ def beside_simpler(data: Data, more: FittedExplanation, less: FittedExplanation,
     """What the effects do that an explanation has more than another, as rules ask for it.
 
     The other leaves more than noise that matters, and their predictions differ; or it is that near only by parameters
-    or a measuring chain that nobody believes.
+    or a measuring chain that nobody believes, and leaves as much where it has to do without these.
     """
     added = [candidate for candidate in more.candidates if candidate.cause not in less.fitted.causes]
     loop = any(candidate.site.location.kind == "controller" for candidate in added)
@@ -239,7 +258,9 @@ def beside_simpler(data: Data, more: FittedExplanation, less: FittedExplanation,
         change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
         return Facts(left_without=left, change=over(change_size(data, change), wanted))
     relieved = relief(data, more, less, wanted)
-    return replace(relieved, left_without=max(left, relieved.left_without))
+    if relieved.left_without < max(left, 1.0):
+        return replace(relieved, left_without=max(left, relieved.left_without))
+    return replace(relieved, left_within=left_within_belief(data, less, wanted, loop))
 
 
 def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:
@@ -263,6 +284,32 @@ def relief_that_counts(data: Data, found: FittedExplanation) -> float:
     return float(chdtri(1, THRESHOLDS.comparison.incredible_probability / max(count, 1)))
 
 
+def strained_chain(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> tuple[str, ...]:
+    """A sentence on errors of the measuring chain that together are further off than is believed of them; else none.
+
+    Each is named with its distance in tolerances and, where it changes what has a size, with what it does there.
+    """
+    errors = found.fit.errors.chain
+    believed = np.flatnonzero(data.tolerances)
+    if not believed.size:
+        return ()
+    squares = errors[believed] ** 2
+    chance = float(chdtrc(believed.size, squares.sum()))
+    furthest = min(1.0, believed.size * 2.0 * float(ndtr(-math.sqrt(squares.max(initial=0.0)))))
+    if min(chance, furthest) >= THRESHOLDS.comparison.incredible_probability:
+        return ()
+    parts = []
+    for j in believed[np.argsort(-squares)][:_NAMED_ERRORS]:
+        size = change_size(data, (data.chain + data.added)[:, j] * errors[j])
+        kind = max(size.values, key=lambda kind: _over(size.values[kind], wanted.get(kind, 0.0)), default="")
+        does = f" ({significant(_PERCENT * size.values[kind], 2)} % of {SIZE_NAMES[kind]})" if kind else ""
+        parts.append(f"{data.chain_names[j]} {abs(float(errors[j])):.1f} tolerances{does}")
+    return (
+        f"The measuring chain is further off than is believed of it: {', '.join(parts)}; nothing is left that matters "
+        "where it stays within three, so no effect is claimed for it.",
+    )
+
+
 def _believed(data: Data, found: FittedExplanation) -> FloatArray:
     """Parameters of the model and errors of the chain that have a tolerance, in standard deviations of that."""
     parameters = found.fit.theta[: len(found.fit.parametrisation.calibration)]
@@ -270,28 +317,26 @@ def _believed(data: Data, found: FittedExplanation) -> FloatArray:
 
 
 def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False) -> bool:
-    """Whether a fit leaves more than noise that matters, or asks of model and chain what nobody believes.
+    """Whether a fit leaves more than noise that matters, or would with model and chain within what is believed of them.
 
     Arguments as of :func:`left_over`.
     """
     if largest_left(data, found, wanted, loop) >= 1.0:
         return True
-    return strained(data, found, wanted) < THRESHOLDS.comparison.incredible_probability
+    return left_within_belief(data, found, wanted, loop) >= 1.0
 
 
-def strained(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> float:
-    """Probability that a parameter of the model or an error of the chain that matters is as far off (Bonferroni)."""
-    fitted, chain = found.fit, found.fit.errors.chain
-    parameters = np.abs(fitted.theta[: len(fitted.parametrisation.calibration)])
-    far = np.flatnonzero((np.abs(chain) > THRESHOLDS.comparison.credible_sigmas) & data.tolerances)
-    moved = (data.chain + data.added) * chain
-    farthest = max(
-        [
-            float(parameters.max(initial=0.0)),
-            *(abs(float(chain[j])) for j in far if matters(change_size(data, moved[:, j]), wanted)),
-        ]
-    )
-    return min(1.0, (parameters.size + chain.size) * 2.0 * float(ndtr(-farthest)))
+def left_within_belief(data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False) -> float:
+    """What a fit would leave with model and chain within what is believed of them, over what matters.
+
+    Arguments as of :func:`left_over`.
+    """
+    key = id(found.fit), loop, tuple(wanted.items())
+    if key not in data.known:
+        within = within_belief(data, found.fit)
+        held = None if within is None else FittedExplanation(found.candidates, within)
+        data.known[key] = math.inf if held is None else largest_left(data, held, wanted, loop)
+    return data.known[key]
 
 
 def change_size(data: Data, change: FloatArray) -> Size:

@@ -36,10 +36,11 @@ STATEMENTS = (
     Statement(
         "no gap",
         "Noise and repeatability explain what lies between model and data.",
-        "No channel leaves half of its signal, whatever scale its noise has learnt.",
-        "`unknown`, with the channel and the share of its signal.",
-        "nmt_diagnose.ledger.plain_look:share_left",
-        f"{_DIAGNOSE}test_plain_look.py::test_no_gap_is_not_said_beside_half_a_signal",
+        "No channel leaves half of its signal, and where the data lie two standard deviations off, no row leaves what "
+        "matters; the noise is no more than neighbouring rows scatter.",
+        "`unknown`, with the channel, or the size and place of what is left.",
+        "nmt_diagnose.ledger.size:contradiction",
+        f"{_DIAGNOSE}court/test_no_gap.py::test_no_gap_is_said_beside_no_figure_that_contradicts_it",
     ),
     Statement(
         "calibration",
@@ -52,10 +53,10 @@ STATEMENTS = (
     Statement(
         "effect",
         "An effect of the library acts.",
-        "Without it more is left than noise that matters, or model and measuring chain are strained.",
-        "No effect; what shows is told with its size.",
-        "nmt_diagnose.ledger.size:beside_simpler",
-        f"{_DIAGNOSE}test_what_is_asked.py::test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise",
+        "Without it rows leave what matters, though model and measuring chain go as far as is believed of them.",
+        "The error of the chain or the parameter, with its size; no effect.",
+        "nmt_diagnose.ledger.size:left_within_belief",
+        f"{_DIAGNOSE}court/test_effects.py::test_a_healthy_table_has_no_effect",
     ),
     Statement(
         "second effect",
@@ -92,18 +93,18 @@ STATEMENTS = (
     Statement(
         "partial",
         "The gap acts like an effect, which is a part of it.",
-        "It closes 80 % of the gap on data held out, two effects 95 %.",
-        "`unknown`, with what comes nearest.",
+        "It closes 80 % of the gap on data held out, two effects 95 %; no law that was read closes more.",
+        "`unknown`, with what comes nearest; or the law.",
         "nmt_diagnose.ledger.comparison:by_plain_effect",
         f"{_DIAGNOSE}test_plain_effect.py::test_what_closes_most_of_a_gap_alone_is_named_first",
     ),
     Statement(
         "unknown",
         "Something acts that the library lacks.",
-        "Rows leave what matters beyond the noise, or model and measuring chain are where nobody believes them.",
+        "Rows leave what matters beyond the noise, with model and chain as far as is believed of them.",
         "`none` or `calibration`.",
         "nmt_diagnose.ledger.size:leaves_something",
-        f"{_DIAGNOSE}test_what_is_asked.py::test_an_error_of_the_chain_counts_where_it_is_incredible_and_matters",
+        f"{_DIAGNOSE}test_what_is_asked.py::test_an_error_of_the_chain_counts_where_rows_leave_what_matters_without_it",
     ),
     Statement(
         "law",

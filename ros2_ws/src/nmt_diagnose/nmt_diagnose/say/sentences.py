@@ -52,16 +52,17 @@ def sentences(
     if verdict is Verdict.NONE:
         which = "Held-out data" if gap.held_out else "The data"
         moved = [item for item in calibration if abs(item.sigmas) > THRESHOLDS.verdict.visible_sigmas]
-        own = (
+        own_parameters = (
             f"the model's own parameters were off, by less than what matters: {_farthest(moved)}."
             if moved
             else "the model's own parameters need no change either."
         )
         return (
-            "There is no gap that the noise and the repeatability of these tests could not explain.",
-            f"No unmodelled effect is claimed; {own}",
-            f"{which} lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the stated "
-            "uncertainties allow.",
+            "There is no gap that the noise and the repeatability of these tests could not explain."
+            if gap.as_given <= THRESHOLDS.verdict.left_over_scale
+            else "There is no gap that matters: what is beyond the noise is smaller than that.",
+            f"No unmodelled effect is claimed; {own_parameters}",
+            f"{which} lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the noise allows.",
         )
     if verdict is Verdict.CALIBRATION:
         return (
@@ -139,6 +140,16 @@ def likeness(explanation: Explanation, found: Mapping[str, Value]) -> str:
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in found.items())
     what = joined(_title(cause.effect) for cause in explanation.causes)
     return f"It looks like {what}{_at(explanation)} ({values}); '--matters' says from which size on that is a gap."
+
+
+def relieving(explanation: Explanation, found: Mapping[str, Value]) -> str:
+    """An effect that only brings model and measuring chain back to what is believed of them."""
+    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in found.items())
+    what = joined(_title(cause.effect) for cause in explanation.causes)
+    return (
+        f"With {what}{_at(explanation)} ({values}) beside it parameters of the model and errors of the measuring chain "
+        "stay nearer to what is believed of them; no row needs it, so it is not claimed."
+    )
 
 
 def _nearest(ranking: Sequence[Ranked], named: Explanation | None, gap: Gap) -> str:

@@ -19,7 +19,7 @@ from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.ledger.comparison import Comparison, Hypotheses, misfit, sources
 from nmt_diagnose.ledger.held_out import named_tests
 from nmt_diagnose.ledger.plain_look import Factor, factors, share_left
-from nmt_diagnose.ledger.size import leaves_something, needed, relief_that_counts
+from nmt_diagnose.ledger.size import Objection, contradiction, leaves_something, needed
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.prediction.operating_range import operating_range
@@ -91,8 +91,13 @@ class Findings:
 
     @property
     def unexplained(self) -> tuple[float, str]:
-        """Largest share of its signal that a channel leaves beyond noise by the model alone, and whose it is."""
+        """Largest share of a channel's signal or a test's damping that the model alone leaves; and of what."""
         return share_left(self.data.observations, self.null.fit.errors.values, self.data.used)
+
+    @cached_property
+    def contradiction(self) -> Objection | None:
+        """What the model alone leaves that no gap is denied beside."""
+        return contradiction(self.data, self.null, self.data.observations.matters)
 
     @cached_property
     def as_given_errors(self) -> ChainErrors:
@@ -140,7 +145,6 @@ def find(
     standing = Standing(search, null, ())
 
     gap = leaves_something(data, null, settings.matters, loop=True)
-    gap = gap or max((score.relief for score in scores()), default=0.0) > relief_that_counts(data, null)
     settled = False
     if gap:
         begun, passed = list[FittedExplanation](), frozenset[Explanation]()

@@ -112,15 +112,13 @@ class Search:
                     strength = 0.0
                 squares = groups.sums((left - strength * vector) ** 2)
                 weights = groups.weights(squares, counts)[groups.of]
-            relief = 2.0 * strength * pull - strength**2 * stiff
-            gain = before - groups.cost(squares, counts) + relief
+            gain = before - groups.cost(squares, counts) + 2.0 * strength * pull - strength**2 * stiff
             instead = self.instead_of_chain_error(fitted, column)
             if instead is not None and instead[1] > gain and (signed or instead[0] > 0.0):
                 strength, gain = instead
-                relief = gain
             position = strength_position(self.candidates[number])
             own_start = at_strength(self.candidates[number], start, start[position] or strength)
-            result.append(Score(number, own_start, gain, reach, column, relief, signed, start))
+            result.append(Score(number, own_start, gain, reach, column, signed, start))
         return sorted(result, key=lambda score: -score.gain)
 
     def instead_of_chain_error(self, fitted: FitResult, column: FloatArray) -> tuple[float, float] | None:

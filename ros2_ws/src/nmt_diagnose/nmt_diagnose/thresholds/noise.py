@@ -54,6 +54,16 @@ class NoiseThresholds:
         "√n.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.cubic_relative_std]",
     )  # fmt: skip
+    scatter_fewest_rows: int = threshold(
+        3, "rows",
+        "Rows with neighbours from which a group shows how much it scatters; fewer leave the bound without meaning.",
+        "tests/diagnose/test_row_scatter.py::test_a_threshold_of_the_scatter_decides[scatter_fewest_rows]",
+    )  # fmt: skip
+    scatter_probability: float = threshold(
+        0.05, "1",
+        "Probability that rows with the largest noise that is allowed scatter as little as they do: the usual 5 %.",
+        "tests/diagnose/test_row_scatter.py::test_a_threshold_of_the_scatter_decides[scatter_probability]",
+    )  # fmt: skip
     floor_fewest_pairs: int = threshold(
         6, "pairs",
         "Fewer repeats do not show what a test repeats to.",

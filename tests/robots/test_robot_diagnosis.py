@@ -14,8 +14,9 @@ from nmt_core.errors import BenchError
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
 from nmt_robots.log.proposal import propose_sidecar
+from nmt_robots.log_faults.finding import Finding
 from nmt_robots.report.robot_files import write_robot_diagnosis
-from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot, no_claims_because
 
 
 def diagnosed(folder: Path, columns: dict[str, Any], **model: float) -> RobotDiagnosis:
@@ -96,3 +97,13 @@ def test_a_joint_that_stands_still_is_a_sentence(tmp_path: Path) -> None:
     columns["pos"][:] = 0.3
     with pytest.raises(BenchError, match="no joint moves"):
         diagnosed(tmp_path, columns)
+
+
+@pytest.mark.parametrize(
+    ("key", "size", "stops"),
+    [("clock_factor", 1.03, False), ("clock_factor", 0.95, True), ("clock_factor", 1.05, True), ("order", 1.0, True)],
+)
+def test_a_wrong_clock_or_order_leaves_nothing_to_be_claimed(key: str, size: float, stops: bool) -> None:
+    """A factor within the tolerances of the bodies' torque stops nothing."""
+    assert bool(no_claims_because([Finding(key, "", size, 0.001, "1")])) is stops
+    assert no_claims_because([Finding(key, "", size, fault=False)]) == ""

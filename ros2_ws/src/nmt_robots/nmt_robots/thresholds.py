@@ -19,6 +19,8 @@ class Thresholds:
         unexplained: torque left over, as a share of the torque, from which nothing is claimed of a joint.
         moving_rows: share of rows; a joint that moves in fewer is not judged.
         lag_s: a delay below this is within what rows of a log can tell, s.
+        clock_factor: a factor of all speeds that is off by more leaves nothing to be claimed of a joint: torques of the
+            bodies have its square, which is as large as their tolerances.
         velocity_gain: a logged velocity whose factor to the derivative of the position is off by less is right.
         coulomb_tolerance, armature_tolerance, damping_tolerance: relative standard uncertainties of a model's own
             values; three of them are no finding.
@@ -36,6 +38,7 @@ class Thresholds:
     unexplained: float = 0.15
     moving_rows: float = 0.1
     lag_s: float = 0.001
+    clock_factor: float = 0.04
     velocity_gain: float = 0.02
     coulomb_tolerance: float = 0.10
     armature_tolerance: float = 0.05

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotrs
 
 from nmt_robots.log.joint_log import Array
 
@@ -51,13 +52,29 @@ def solve_normal(gram: Array, moment: Array, never_negative: Array) -> tuple[Arr
         number = np.flatnonzero(free)
         if number.size:
             reduced = gram[np.ix_(number, number)] / np.outer(scale[number], scale[number])
-            values[number] = np.linalg.lstsq(reduced, moment[number] / scale[number], rcond=1e-10)[0] / scale[number]
+            values[number] = solve_scaled(reduced, moment[number] / scale[number], 1e-10) / scale[number]
         wrong = free & never_negative & (values < 0.0)
         if not np.any(wrong):
             return values, ~free, negative
         worst = int(np.argmin(np.where(wrong, values * scale, np.inf)))
         negative[worst] = values[worst]
         free[worst] = False
+
+
+def solve_scaled(gram: Array, moment: Array, least: float) -> Array:
+    """Solution of normal equations with a diagonal of ones, K; the shortest where columns are alike.
+
+    Args:
+        gram: K × K.
+        moment: K.
+        least: singular values below this share of the largest count as none.
+    """
+    factor, failed = dpotrf(gram, lower=1)
+    # The squared pivots bound the smallest eigenvalue from above: well above the limit the two solutions agree.
+    if failed == 0 and float(np.min(np.diag(factor))) ** 2 > 1e3 * least:
+        solution: Array = dpotrs(factor, moment, lower=1)[0]
+        return solution
+    return np.asarray(np.linalg.lstsq(gram, moment, rcond=least)[0])
 
 
 def fitted(matrix: Array, torque: Array, never_negative: Array, blocks: Array) -> Fit:

@@ -7,10 +7,10 @@ motion is smoothed once and what is computed of it once more, the torque of the 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
-from scipy.signal import savgol_filter
+from scipy.ndimage import convolve1d, maximum_filter1d
 
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.model.robot_model import RobotModel
@@ -63,9 +63,22 @@ class Motion:
 
 
 def smoothed(values: Array, window: int) -> Array:
-    """Local parabolas over ``window`` rows."""
-    result: Array = savgol_filter(values, window, 2, axis=0)
+    """Local parabolas over ``window`` rows; those at the ends are evaluated up to the last row."""
+    middle, ends = _parabolas(window)
+    half = window // 2
+    result: Array = convolve1d(values, middle, axis=0, mode="nearest")
+    result[:half] = np.tensordot(ends, values[:window], 1)
+    result[-half:] = np.tensordot(ends[::-1, ::-1], values[-window:], 1)
     return result
+
+
+@cache
+def _parabolas(window: int) -> tuple[Array, Array]:
+    """Weights of the rows of a window: for its middle, (window,), and for its first half, (half, window)."""
+    powers = np.vander(np.linspace(-1.0, 1.0, window), 3)
+    weights = powers @ np.linalg.pinv(powers)
+    half = window // 2
+    return weights[half], weights[:half]
 
 
 def window_of(step_s: float) -> int:

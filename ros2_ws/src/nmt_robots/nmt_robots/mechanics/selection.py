@@ -13,6 +13,7 @@ import numpy as np
 
 from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.columns import Effect
+from nmt_robots.mechanics.least_squares import solve_scaled
 from nmt_robots.thresholds import THRESHOLDS
 
 _PER_SECOND = 4.0
@@ -54,6 +55,7 @@ class Chooser:
         self._gram = self._columns.T @ self._columns
         self._moment = self._columns.T @ self._left
         self._total = float(self._left @ self._left)
+        self._costs: dict[tuple[frozenset[int], float], float] = {}
         self._rivals: dict[int, tuple[Array, Array, Array, Array]] = {}
 
     def choose(self, usual: list[Effect], rivals: list[tuple[Effect, Array]], floor: float) -> list[Effect]:
@@ -126,7 +128,13 @@ class Chooser:
         return chosen, cost
 
     def _cost(self, causes: list[Effect], columns: dict[int, Array], variance: float) -> float:
-        """Weighted squares of what is left and of the pulls."""
+        """Weighted squares of what is left and of the pulls; a set that was asked before is not computed again."""
+        asked = frozenset(map(id, causes)), variance
+        if asked not in self._costs:
+            self._costs[asked] = self._cost_of_set(causes, columns, variance)
+        return self._costs[asked]
+
+    def _cost_of_set(self, causes: list[Effect], columns: dict[int, Array], variance: float) -> float:
         free = {effect.key for effect in causes}
         stds = np.where([key in free and key != "" for key in self._keys], _FREE, 1.0) * self._stds
         parts = [self._rival(effect, columns[id(effect)]) for effect in causes if id(effect) in columns]
@@ -150,7 +158,7 @@ class Chooser:
                 before += len(other[2])
             place += width
         scale = np.sqrt(np.maximum(np.diag(gram), 1e-200))
-        solution = np.linalg.lstsq(gram / np.outer(scale, scale), moment / scale, rcond=1e-12)[0] / scale
+        solution = solve_scaled(gram / np.outer(scale, scale), moment / scale, 1e-12) / scale
         pulls = float(np.sum((solution[:count] / stds) ** 2))
         squares = float(self._total / variance - solution @ moment) - pulls
         return max(squares, 0.0) / self._kept_torque(causes, parts, solution[count:]) + pulls

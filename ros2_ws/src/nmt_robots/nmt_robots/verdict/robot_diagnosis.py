@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -164,13 +164,22 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
             verdicts.append(unjudged(joint, float(np.std(plain_torque[:, number]))))
     verdicts = undisturbed(verdicts)
     found += scale_findings(tuple(verdicts))
-    if {finding.key for finding in found if finding.fault} & {"order", "joint_sign", "gravity_sign", "clock_factor"}:
-        verdicts = [
-            without_claims(item, "order, sign or clock of the columns is wrong: nothing is claimed")
-            for item in verdicts
-        ]
+    reason = no_claims_because(found)
+    if reason:
+        verdicts = [without_claims(item, f"{reason}: nothing is claimed") for item in verdicts]
     ordered = sorted(found, key=lambda item: not item.fault)
     return RobotDiagnosis(robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts))
+
+
+def no_claims_because(found: Sequence[Finding]) -> str:
+    """Why no joint's cause can be claimed beside what was found on the log; empty where that is not so."""
+    for finding in found:
+        if finding.fault and finding.key in {"order", "joint_sign", "gravity_sign"}:
+            return "columns are in another order or have another sign"
+        # All speeds and accelerations have the clock's factor, and the torque of the bodies its square.
+        if finding.fault and finding.key == "clock_factor" and abs(finding.size - 1.0) > THRESHOLDS.clock_factor:
+            return "the clock or all speeds are wrong by a factor"
+    return ""
 
 
 def mended(robot: RobotModel, log: JointLog, joints: tuple[Joint, ...]) -> tuple[JointLog, Motion, list[Finding]]:

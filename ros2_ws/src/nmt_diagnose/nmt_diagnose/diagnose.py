@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_core.text.number_words import percent
 from nmt_diagnose.ahead.next_tests import next_levels, next_tests, other_sensors
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
@@ -404,7 +405,7 @@ def _sentences(
     text = (*from_law, *text) if judgement.partial and judgement.law_leads else (*text, *from_law)
     if verdict is Verdict.UNKNOWN and not GAP(judgement.alone).passed:
         share_of_signal, whose = findings.unexplained
-        contradicts = f"The model leaves {100.0 * share_of_signal:.2g} % of {whose}, which is no noise."
+        contradicts = f"The model leaves {percent(share_of_signal)} of {whose}, which is no noise."
         if findings.contradiction is not None and share_of_signal < THRESHOLDS.verdict.unexplained_share:
             contradicts = f"Of the model alone {findings.contradiction.sentence}."
         text = (contradicts, *text)

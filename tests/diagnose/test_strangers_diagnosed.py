@@ -43,5 +43,6 @@ def test_a_pendulum_with_friction_is_one_thing_in_headline_and_table(tmp_path: P
     assert head["given_library"]
     assert both["effect"] == "cubic_stiffness + second_friction_contact"
     assert "with friction contact beside it" in found["sentences"][1]
+    assert found["sentences"][0].startswith("At the held levels the missing force acts like ")
     assert found["probabilities"]["unknown"] > 0.9
     assert contradictions(found) == ()

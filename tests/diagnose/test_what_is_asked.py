@@ -19,6 +19,7 @@ from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
     Size,
     beside_simpler,
+    chain_error_instead,
     implausible_parameters,
     largest_left,
     leaves_something,
@@ -124,15 +125,22 @@ def test_an_error_of_the_chain_counts_where_rows_leave_what_matters_without_it()
     assert leaves_something(search.data, null, wanted)
 
 
-def test_what_brings_a_chain_back_to_what_is_believed_is_no_effect_while_no_row_needs_it() -> None:
+def test_what_brings_a_chain_back_to_what_is_believed_is_no_effect_but_its_own_error_is() -> None:
+    """Gains of 6 %, six of their tolerances: no law stands in for them, and they are told as gains."""
     search, null = searched(with_gains(1.06))
     wanted = DiagnosisSettings().matters
-    gains = [score for score in search.scores(null) if "gain" in search.candidates[score.candidate].effect.name]
+    scores = search.scores(null)
+    gains = [score for score in scores if "gain" in search.candidates[score.candidate].effect.name]
     louder = search.added(null, gains[0])
     assert louder is not None
-    facts = beside_simpler(search.data, louder, null, wanted)
-    assert WITHIN(facts).passed is (not facts.left_within < 1.0)
-    assert needed(search.data, louder, [null], wanted).stated == ()
+    assert left_within_belief(search.data, null, wanted) < 1.0
+    assert chain_error_instead(search.data, louder, [0]) > THRESHOLDS.comparison.credible_sigmas
+    assert WITHIN(beside_simpler(search.data, louder, null, wanted)).passed
+    laws = [score for score in scores if search.candidates[score.candidate].effect.name == "cubic_stiffness"]
+    stiffer = search.added(null, laws[0])
+    assert stiffer is not None
+    assert chain_error_instead(search.data, stiffer, [0]) == 0.0
+    assert needed(search.data, stiffer, [null], wanted).stated == ()
 
 
 def test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matters() -> None:

@@ -19,7 +19,6 @@ from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
     Size,
     beside_simpler,
-    chain_error_instead,
     implausible_parameters,
     largest_left,
     leaves_something,
@@ -134,12 +133,10 @@ def test_what_brings_a_chain_back_to_what_is_believed_is_no_effect_but_its_own_e
     louder = search.added(null, gains[0])
     assert louder is not None
     assert left_within_belief(search.data, null, wanted) < 1.0
-    assert chain_error_instead(search.data, louder, [0]) > THRESHOLDS.comparison.credible_sigmas
     assert WITHIN(beside_simpler(search.data, louder, null, wanted)).passed
     laws = [score for score in scores if search.candidates[score.candidate].effect.name == "cubic_stiffness"]
     stiffer = search.added(null, laws[0])
     assert stiffer is not None
-    assert chain_error_instead(search.data, stiffer, [0]) == 0.0
     assert needed(search.data, stiffer, [null], wanted).stated == ()
 
 

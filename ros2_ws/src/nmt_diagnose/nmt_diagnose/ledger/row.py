@@ -21,8 +21,8 @@ class Facts:
         left_without: what is left without its effect over what matters; or by how much model and measuring chain
             return to what is believed of them, over what chance does.
         left_within: what is left without its effect over what matters, where model and measuring chain stay within what
-            is believed of them; asked where the effect only brings them back there. Of an effect that itself is an
-            error of the chain that error over three tolerances, where that is larger.
+            is believed of them; asked where the effect only brings them back there. Not asked of effects of
+            sensors.
         change: of the predictions by its effect, over what matters.
         log_odds: ln of the odds of any gap.
         modes: of the recordings that the model lacks or has in another order.

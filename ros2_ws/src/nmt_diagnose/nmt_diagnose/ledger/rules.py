@@ -87,7 +87,7 @@ NEEDED = Rule(
 WITHIN = Rule(
     "within",
     "What only brings model and measuring chain back to what is believed of them: rows leave what matters without it "
-    "where they stay there, or it is itself an error of the chain of more than three tolerances.",
+    "where they stay there, or it is of a sensor.",
     "of what matters",
     lambda facts: facts.left_within,
     lambda facts: 1.0,

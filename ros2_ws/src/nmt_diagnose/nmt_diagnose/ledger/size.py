@@ -23,6 +23,7 @@ from nmt_diagnose.observations.observables import Natural, Observations, Part, p
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _PERCENT = 100.0
+_SENSORS = ("response_sensor", "force_sensor")
 # Of a strained chain, the furthest first.
 _NAMED_ERRORS = 3
 
@@ -249,8 +250,8 @@ def beside_simpler(data: Data, more: FittedExplanation, less: FittedExplanation,
     """What the effects do that an explanation has more than another, as rules ask for it.
 
     The other leaves more than noise that matters, and their predictions differ; or it is that near only by parameters
-    or a measuring chain that nobody believes, and leaves as much where it has to do without these. What itself is an
-    error of the chain, such as a gain, is told as that effect where it is as far off as nobody believes.
+    or a measuring chain that nobody believes, and leaves as much where it has to do without these. An effect of a
+    sensor, such as its gain, is itself the finding on the chain.
     """
     numbers = [k for k, candidate in enumerate(more.candidates) if candidate.cause not in less.fitted.causes]
     loop = any(more.candidates[k].site.location.kind == "controller" for k in numbers)
@@ -261,25 +262,9 @@ def beside_simpler(data: Data, more: FittedExplanation, less: FittedExplanation,
     relieved = relief(data, more, less, wanted)
     if relieved.left_without < max(left, 1.0):
         return replace(relieved, left_without=max(left, relieved.left_without))
-    of_chain = chain_error_instead(data, more, numbers) / THRESHOLDS.comparison.credible_sigmas
-    return replace(relieved, left_within=max(of_chain, left_within_belief(data, less, wanted, loop)))
-
-
-def chain_error_instead(data: Data, found: FittedExplanation, numbers: Sequence[int]) -> float:
-    """Tolerances of that error of the measuring chain that effects of an explanation do the same as, to first order.
-
-    0 where they do what no error of the chain does.
-    """
-    fitted, largest = found.fit, 0.0
-    slopes = fitted.errors.slopes[:, data.tolerances]
-    for number in numbers:
-        selected = fitted.parametrisation.index_of(number)
-        theta = fitted.theta[selected]
-        change = fitted.jacobian[:, selected] @ (theta - at_zero(found.candidates[number], theta))
-        along, squares = np.abs(change @ slopes), np.maximum(np.sum(slopes**2, axis=0), 1e-300)
-        alike = along > THRESHOLDS.search.alike_cosine * float(np.linalg.norm(change)) * np.sqrt(squares)
-        largest = max(largest, float(np.max((along / squares)[alike], initial=0.0)))
-    return largest
+    if all(more.candidates[k].site.location.kind in _SENSORS for k in numbers):
+        return relieved
+    return replace(relieved, left_within=left_within_belief(data, less, wanted, loop))
 
 
 def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:

@@ -35,10 +35,10 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_one_effect_is_found_for_all(table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out"
     assert main(["diagnose", "--quiet", "--model", "beam", "--group", str(table), *FEW, "--out", str(out)]) == 0
-    assert "All 3 units: one effect for all, response_gain@x5." in capsys.readouterr().out
+    assert "All 3 units: one effect for all, response gain at channel x5." in capsys.readouterr().out
     group = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))["group"]
     head = group["quantities"][0]
-    assert head["name"].startswith("response_gain@x5: ")
+    assert head["name"].startswith("response gain at channel x5: ")
     found = head["components"]
     assert found["mean"] == pytest.approx(0.05, abs=4.0 * found["mean_std"])
     assert found["next_low"] < 0.05 < found["next_high"]
@@ -68,8 +68,8 @@ def test_each_unit_is_diagnosed_and_all_together(
     words = ["--model", "beam", "--group", str(tmp_path / "units.csv"), "--out", str(out)]
     assert main(["diagnose", "--quiet", *words]) == 0
     printed = capsys.readouterr().out
-    assert "All 5 units: one effect for all, cubic_stiffness@3." in printed
-    assert "leg c differs from its sisters in cubic_stiffness@3: stiffness_n_m3 by" in printed
+    assert "All 5 units: one effect for all, cubic stiffness at point 3." in printed
+    assert "leg c differs from its sisters in cubic stiffness at point 3: stiffness_n_m3 by" in printed
     group = json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))["group"]
     assert [odd["unit"] for odd in group["quantities"][0]["components"]["odd"]] == ["leg c"]
     assert "3-leg-c/report.html" in (out / "report.html").read_text(encoding="utf-8")

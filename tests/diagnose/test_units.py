@@ -100,7 +100,7 @@ def of(*values, **more):
 
 def test_one_effect_and_one_value_for_all():
     group = unit_group(of(1.00e9, 1.01e9, 0.98e9, 1.02e9), "")
-    assert group.sentences[0] == "All 4 units: one effect for all, cubic_stiffness@3."
+    assert group.sentences[0] == "All 4 units: one effect for all, cubic stiffness at point 3."
     assert any("one value for all within its ±" in sentence for sentence in group.sentences)
     assert group.quantities[0].of_effect
 
@@ -108,12 +108,13 @@ def test_one_effect_and_one_value_for_all():
 def test_the_odd_one_and_the_one_without_the_effect_are_named():
     group = unit_group(of(1.00e9, 1.02e9, 2.5e9, 0.99e9, 1.01e9), "")
     assert any(
-        s.startswith("leg 3 differs from its sisters in cubic_stiffness@3: stiffness_n_m3 by") for s in group.sentences
+        s.startswith("leg 3 differs from its sisters in cubic stiffness at point 3: stiffness_n_m3 by")
+        for s in group.sentences
     )
     some = [*of(1.00e9, 1.02e9), UnitDiagnosis("leg 3", "", diagnosis(Verdict.CALIBRATION))]
     sentences = unit_group(some, "").sentences
-    assert "2 of 3 units: cubic_stiffness@3 (leg 1, leg 2)." in sentences
-    assert "1 of 3 units: none (leg 3)." in sentences
+    assert "2 of 3 units: cubic stiffness at point 3 (leg 1, leg 2)." in sentences
+    assert "1 of 3 units: no effect is missing (leg 3)." in sentences
 
 
 def test_scatter_of_mounting_is_compared_with_the_effect():

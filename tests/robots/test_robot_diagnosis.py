@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +35,11 @@ def test_a_healthy_log_keeps_silent(tmp_path: Path) -> None:
     (joint,) = diagnosis.joints
     assert not joint.differs
     assert joint.cause == "as in the model"
+    # A plain look: where the model leaves half of the torque, nothing being claimed is not being alike.
+    strayed = replace(joint, unchanged=0.5 * joint.torque)
+    assert strayed.cause == "not known"
+    assert strayed.difference == "not known: the model leaves 50 % of the torque, no cause is claimed"
+    assert ", of 1 the cause is not known" in replace(diagnosis, joints=(strayed,)).verdict
     assert not [finding for finding in diagnosis.findings if finding.fault]
     assert joint.left < 0.05 * joint.torque
 

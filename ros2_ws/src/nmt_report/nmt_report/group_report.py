@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from nmt_core.text.number_words import value_text
 from nmt_diagnose.units.random_effects import COVERAGE
-from nmt_diagnose.units.unit_group import Quantity, UnitGroup
+from nmt_diagnose.units.unit_group import Quantity, UnitGroup, explanation_words
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import BLUE, INK, ORANGE, ReportFigure, figure_style
@@ -30,13 +30,14 @@ def group_page(rig: Rig, group: UnitGroup, reports: Sequence[tuple[str, str]] = 
         figures = [_by_unit(quantity, number) for number, quantity in enumerate(group.quantities[:_DRAWN])]
     links = Markup("").join(Markup('<p><a href="{}">{}</a></p>').format(address, name) for name, address in reports)
     odd = any(quantity.components.odd for quantity in group.quantities)
+    healthy = not odd and all(label == "none" for _, _, label in group.explanations)
     page = ResponsePage(
         kicker="Diagnosis of several units",
         heading=rig.name,
         subtitle=rig.description,
-        verdict=(group.sentences[0] if group.sentences else "Nothing to compare.", "partly" if odd else "good"),
+        verdict=(group.sentences[0] if group.sentences else "Nothing to compare.", "good" if healthy else "partly"),
         cards=[("Units", str(len(group.units)), f"{len(group.explanations)} diagnoses")],
-        notices=list(group.sentences[1:]),
+        answers=[("Parameters", " ".join(group.sentences[1:]))] if group.sentences[1:] else [],
         footer=str(escape("± is one standard uncertainty. SI units.")),
         sections=[
             ("quantities", "Parameters over the units", _table(group)),
@@ -71,7 +72,9 @@ def _table(group: UnitGroup) -> Markup:
 
 def _explanations(group: UnitGroup) -> Markup:
     head = [("unit", ""), ("setting", ""), ("named", "")]
-    return html_table(head, [[unit, setting or "—", label] for unit, setting, label in group.explanations])
+    return html_table(
+        head, [[unit, setting or "—", explanation_words(label)] for unit, setting, label in group.explanations]
+    )
 
 
 def _by_unit(quantity: Quantity, number: int) -> ReportFigure:

@@ -100,6 +100,7 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
         if joint.mechanics is None:
             table.add_row(joint.joint.name, "not judged", "", "", joint.remains)
             continue
-        differing = "; ".join(term.text() for term in joint.terms if term.differs) or "nothing: as in the model"
-        table.add_row(joint.joint.name, differing, f"{100 * joint.closed:.0f} %", f"{joint.left:.3f}", joint.remains)
+        table.add_row(
+            joint.joint.name, joint.difference, f"{100 * joint.closed:.0f} %", f"{joint.left:.3f}", joint.remains
+        )
     console.print(table)

@@ -121,7 +121,7 @@ def place_words(head: Ranked) -> str:
     likely = {at: p for at, p in head.places.items() if p > THRESHOLDS.verdict.as_likely_share * best}
     if len(likely) < 2:
         return ""
-    return "; its place: " + ", ".join(f"{_detail(at) or at} ({_sure(p)})" for at, p in likely.items())
+    return "; its place: " + ", ".join(f"{detail_words(at) or at} ({_sure(p)})" for at, p in likely.items())
 
 
 def _share_of(gap: Gap) -> str:
@@ -185,7 +185,7 @@ def where_words(where: Sequence[PlaceShare]) -> str:
     if not where:
         return "Where the gap lies could not be told."
     first = where[0]
-    detail = f", {_detail(first.detail)}," if first.detail and _detail(first.detail) else ""
+    detail = f", {detail_words(first.detail)}," if first.detail and detail_words(first.detail) else ""
     text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}"
     text += f"; all explanations there together have a probability of {_sure(first.p)}"
     others = [item for item in where[1:3] if item.p > THRESHOLDS.verdict.other_location_probability]
@@ -228,12 +228,12 @@ def _title(effect: str) -> str:
 
 def _at(explanation: Explanation | None) -> str:
     locations = () if explanation is None else explanation.locations
-    details = [_detail(location.detail) for location in locations]
+    details = [detail_words(location.detail) for location in locations]
     found = " and ".join(dict.fromkeys(part for part in details if part))
     return f" at {found}" if found else ""
 
 
-def _detail(detail: str) -> str:
+def detail_words(detail: str) -> str:
     """A point or channel in words; empty where it says no more than the place."""
     if detail.isdigit():
         return f"point {detail}"

@@ -8,10 +8,13 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from nmt_core.text.number_words import value_text
+from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.say.sentences import detail_words
 from nmt_diagnose.units.random_effects import Components, Estimate, components
 
 _ALIKE = 0.05
+_NAMED = {"none": "no effect is missing", "unknown": "the cause is unknown"}
 _WITHIN = {"mounting": "re-mounting", "day": "one day to another", "repeat": "one repeat to another", "": "settings"}
 
 
@@ -80,7 +83,16 @@ def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
         diagnosis = each.diagnosis
         if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
             for name, value in diagnosis.ranking[0].parameters.items():
-                _take(found, f"{_label(diagnosis)}: {name}", value.unit, True, 0.0, each, value.value, value.std)
+                _take(
+                    found,
+                    f"{explanation_words(_label(diagnosis))}: {name}",
+                    value.unit,
+                    True,
+                    0.0,
+                    each,
+                    value.value,
+                    value.std,
+                )
         for row in diagnosis.calibration:
             _take(found, row.name, row.unit, False, row.start, each, row.to, row.std)
     quantities = []
@@ -91,6 +103,14 @@ def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
     units = tuple(dict.fromkeys(each.unit for each in diagnoses))
     sentences = (*_of_explanations(units, explanations), *(s for q in quantities for s in _of_quantity(q, varied)))
     return UnitGroup(units, explanations, tuple(quantities), sentences, varied)
+
+
+def explanation_words(label: str) -> str:
+    """What a diagnosis named, for people: ``cubic_stiffness@2`` is cubic stiffness at point 2."""
+    effect, _, where = label.partition("@")
+    places = [detail_words(part) for part in where.split(" + ")] if where else []
+    at = " and ".join(dict.fromkeys(place for place in places if place))
+    return effect_words(effect) + (f" at {at}" if at else "")
 
 
 def _label(diagnosis: Diagnosis) -> str:
@@ -116,11 +136,12 @@ def _of_explanations(units: Sequence[str], explanations: Sequence[tuple[str, str
     if len(labels) == 1:
         (label,) = labels
         words = {"none": "none lacks an effect", "unknown": "none has a known cause"}
-        return [f"All {len(units)} units: {words.get(label, f'one effect for all, {label}')}."]
+        return [f"All {len(units)} units: {words.get(label, f'one effect for all, {explanation_words(label)}')}."]
     sentences = []
     for label in sorted(labels):
         having = [unit for unit, found in by_unit.items() if label in found]
-        sentences.append(f"{len(having)} of {len(units)} units: {label} ({', '.join(having)}).")
+        named = _NAMED.get(label) or explanation_words(label)
+        sentences.append(f"{len(having)} of {len(units)} units: {named} ({', '.join(having)}).")
     return sentences
 
 

@@ -77,9 +77,8 @@ def _joints(diagnosis: RobotDiagnosis) -> Markup:
 def _joint_row(joint: JointVerdict) -> tuple[str, ...]:
     if joint.mechanics is None:
         return (joint.joint.name, "not judged", "", "", joint.remains)
-    differing = "; ".join(term.text() for term in joint.terms if term.differs) or "nothing: as in the model"
     impossible = "; ".join(term.text() for term in joint.terms if term.impossible < 0.0)
-    words = f"{differing}. {impossible}" if impossible else differing
+    words = f"{joint.difference}. {impossible}" if impossible else joint.difference
     closed = percent(joint.closed) if is_known(joint.closed) else ""
     return (joint.joint.name, words, closed, significant(joint.left, 3), joint.remains)
 

@@ -103,7 +103,23 @@ class JointVerdict:
         if self.mechanics is None:
             return "not judged"
         differing = [term for term in self.terms if term.differs]
-        return differing[0].words if differing else "as in the model"
+        if differing:
+            return differing[0].words
+        return "as in the model" if self.is_as_in_the_model else "not known"
+
+    @property
+    def is_as_in_the_model(self) -> bool:
+        """Whether the model as given leaves little enough of the torque that nothing differs."""
+        return not self.differs and self.unchanged < THRESHOLDS.unexplained * self.torque
+
+    @property
+    def difference(self) -> str:
+        """What differs from the model, with sizes."""
+        if self.differs:
+            return "; ".join(term.text() for term in self.terms if term.differs)
+        if self.is_as_in_the_model:
+            return "nothing: as in the model"
+        return f"not known: the model leaves {percent(self.unchanged / self.torque)} of the torque, no cause is claimed"
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""

@@ -92,9 +92,11 @@ class RobotDiagnosis:
             faults
         ) > 1 else "The log has one fault"  # fmt: skip
         differing = sum(joint.differs for joint in judged)
+        open_joints = sum(not joint.differs and not joint.is_as_in_the_model for joint in judged)
+        unknown = f", of {open_joints} the cause is not known" if open_joints else ""
         return (
-            f"{log}; {differing} of {len(judged)} joints differ from the model. Of the torque that the plain fit "
-            f"leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit has seen "
+            f"{log}; {differing} of {len(judged)} joints differ from the model by a named cause{unknown}. Of the "
+            f"torque that the plain fit leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit has seen "
             f"({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
         )
 

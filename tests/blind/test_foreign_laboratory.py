@@ -159,6 +159,7 @@ def told(verdict: str, text: str, adequate: bool, unnamed: float, *ranking: dict
 WHOLE = explained("cubic_stiffness", "structure 7", 0.97)
 PART = explained("cubic_stiffness", "structure 7", 0.97, adequate=False, given_library=True)
 CAUSE = "The cause is cubic stiffness at point 7."
+RUBS = "The cause is friction contact at point 6."
 ACTS = "99 % of the gap acts like cubic stiffness at point 7."
 
 
@@ -168,6 +169,7 @@ ACTS = "99 % of the gap acts like cubic stiffness at point 7."
         (told("effect", CAUSE, True, 0.01, WHOLE), 0),
         (told("effect", ACTS, False, 0.9, PART), 0),
         (told("unknown", "Nothing in the library explains all of it.", False, 0.9, WHOLE), 0),
+        (told("effect", RUBS, True, 0.01, explained("second_friction_contact", "joint 6", 0.97)), 0),
         (told("none", "There is no gap.", True, 0.0), 0),
         (told("none", CAUSE, True, 0.0, WHOLE), 1),
         (told("effect", CAUSE, True, 0.98, {**WHOLE, "probability": 0.02}), 1),

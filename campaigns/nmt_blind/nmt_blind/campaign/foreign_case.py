@@ -16,6 +16,7 @@ from typing import Any
 from nmt_blind.campaign.scored_case import ALARMS, EffectSet, effect_set
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_text, yaml_value
+from nmt_diagnose.effects.location import effect_words
 
 MODEL_FILE, TRUTH_FILE = "model.yaml", "truth.yaml"
 KINDS = ("healthy", "effect", "unknown")
@@ -180,7 +181,7 @@ def contradictions(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
             found.append("the probability of the table is of other alternatives than that of the sentences")
         if verdict == "effect" and adequate and sure < unnamed:
             found.append(f"a cause at {sure:.2f} beside something unnamed at {unnamed:.2f}")
-        name = str(head["effect"]).replace("_", " ")
+        name = effect_words(str(head["effect"]))
         if (named or partial) and name not in text:
             found.append(f"the sentences name something else than the first explanation, {name}")
     return tuple(found)

@@ -96,8 +96,8 @@ class RobotDiagnosis:
         unknown = f", of {open_joints} the cause is not known" if open_joints else ""
         return (
             f"{log}; {differing} of {len(judged)} joints differ from the model by a named cause{unknown}. Of the "
-            f"torque that the plain fit leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit has seen "
-            f"({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
+            f"torque that the plain fit leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit has "
+            f"seen ({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
         )
 
     def to_mapping(self) -> dict[str, Any]:

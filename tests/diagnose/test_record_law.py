@@ -74,6 +74,31 @@ def test_a_law_is_read_with_its_strengths(tmp_path: Path, words: str) -> None:
         np.testing.assert_allclose(loop.measured, loop.law, atol=0.15 * np.ptp(missing))
 
 
+BESIDE = {
+    "dry friction and damping that grows with speed": (
+        0.05 * np.tanh(V / 2e-3) + 8.0 * V * np.abs(V), {"friction": 0.05, "speed": 8.0}
+    ),
+    "friction of a slider behind a spring and stop on one side": (
+        jenkins(X, 60.0, 0.05) + 300.0 * np.maximum(X - 0.006, 0.0), {"slider": 60.0, "stop": 300.0}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", BESIDE)
+def test_terms_side_by_side_are_told_apart(tmp_path: Path, words: str) -> None:
+    """Beside a preload of any size, which is no part of the law."""
+    missing, strengths = BESIDE[words]
+    reading = reading_of(tmp_path, missing + 0.3)
+    assert reading.is_stated
+    (law,) = reading.laws
+    assert set(law.family.split(" and ")) == set(words.split(" and "))
+    found = {term.kind: term for term in law.terms}
+    for kind, strength in strengths.items():
+        assert found[kind].coefficient == pytest.approx(strength, rel=0.05)
+        assert abs(found[kind].coefficient - strength) < 4.0 * found[kind].std
+    assert min(reading.closed_inside, reading.closed_above) > 0.95
+
+
 def test_a_healthy_record_has_no_law(tmp_path: Path) -> None:
     reading = reading_of(tmp_path, 0.0 * X)
     assert not reading.laws

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.law.terms import Term
+from nmt_diagnose.law.terms import OF_RECORDS, Term
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
+
+_CLOSED = (0.01, 0.8)  # of the samples of a record: what is closed along nearly all of it is no contact
 
 
 @dataclass(frozen=True)
@@ -80,6 +82,27 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
         ends = float((side * x).max()) * np.append(0.0, free)
         found[name] = [Block(name, (Term("stop", g, side), Term("stop damping", g, side)), (1,)) for g in ends]
     return {name: family for name, family in found.items() if family}
+
+
+def blocks_of_records(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
+    """Blocks by family along records of a motion: linear forces too, and contacts that are open now and then.
+
+    Args:
+        x, v: displacement (m) and velocity (m/s), (1, samples).
+    """
+    found = {form.words: [Block(form.words, (Term(form.kind, form.exponent),))] for form, _ in OF_RECORDS}
+    for name, family in blocks(x, v).items():
+        members = [block for block in family if not block.contact or _opens(block.terms[0], x)]
+        if members:
+            found[name] = members
+    # Samples show the way to full friction, which a few harmonics do not.
+    found["weakening friction"] = [replace(block, refined=(1, 2)) for block in found["weakening friction"]]
+    return found
+
+
+def _opens(contact: Term, x: FloatArray) -> bool:
+    """Whether a contact is neither closed along nearly all of a motion nor along hardly any of it."""
+    return _CLOSED[0] < float(np.mean(contact.force(x, np.zeros_like(x)) != 0.0)) < _CLOSED[1]
 
 
 def _alone(form: LawForm, a: float, s: float) -> list[Block]:

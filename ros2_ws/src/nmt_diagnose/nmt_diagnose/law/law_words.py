@@ -22,7 +22,7 @@ def family(terms: Sequence[tuple[Term, float]]) -> str:
     words = {term.kind: term.form.words or term.form.family for term, _ in terms}
     kinds = set(words)
     if kinds == {"power"}:
-        return _polynomial(terms)
+        return terms[0][0].form.words or _polynomial(terms)
     if kinds & {"stop", "stop damping"}:
         return Term("stop").form.words
     sliders = [(term.first, _sliding_force(term, value)) for term, value in terms if term.kind in _SLIDERS]

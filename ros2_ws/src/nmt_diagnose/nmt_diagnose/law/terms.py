@@ -14,7 +14,9 @@ from nmt_diagnose.law.modal_frame import ORDERS
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
 from nmt_rig.model.local_elements.attachments import LuGre
+from nmt_rig.model.local_elements.dampers import LinearDamperSection
 from nmt_rig.model.local_elements.element import ElementSection
+from nmt_rig.model.local_elements.springs import LinearSpringSection
 
 SAMPLES = 512
 """A period's samples: forces with corners have aliases below 1e-4 of their size in the orders that are kept."""
@@ -43,8 +45,25 @@ _BESIDE = (
         words="dry friction that weakens with speed", unwritten="the part of the friction that weakens with speed",
     ),
 )  # fmt: skip
+# A linear force is an error of the modes at held levels; along a record it is told apart.
+OF_RECORDS: tuple[tuple[LawForm, type[ElementSection]], ...] = (
+    (
+        LawForm(
+            "power", "linear spring", "x", lambda c, *_: (c,), "linear spring", unit="N/m", exponent=1.0, signed=True
+        ),
+        LinearSpringSection,
+    ),
+    (
+        LawForm("speed", "viscous damping", "v", lambda c, *_: (c,), "viscous damping", unit="N s/m", exponent=1.0),
+        LinearDamperSection,
+    ),
+)
 _OF_ELEMENTS = [(form, section) for section in SECTIONS for form in section.law]
-_FORMS: tuple[tuple[LawForm, type[ElementSection] | None], ...] = (*((form, None) for form in _BESIDE), *_OF_ELEMENTS)
+_FORMS: tuple[tuple[LawForm, type[ElementSection] | None], ...] = (
+    *((form, None) for form in _BESIDE),
+    *OF_RECORDS,
+    *_OF_ELEMENTS,
+)
 
 
 @dataclass(frozen=True)

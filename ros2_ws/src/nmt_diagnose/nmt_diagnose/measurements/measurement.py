@@ -22,6 +22,7 @@ from nmt_rig.rig import Rig
 
 if TYPE_CHECKING:
     from nmt_diagnose.law.held_levels import HeldLevels
+    from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
     from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
     from nmt_diagnose.observations.bag_windows import BagWindows
     from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
@@ -174,9 +175,8 @@ class Measurement:
         return None
 
     @property
-    def moved_as(self) -> tuple[FloatArray, float, float] | None:
-        """Motion that the drive point was moved by: displacement, velocity and acceleration, (3, n), m, m/s, m/s², at
-        its sampling rate in Hz from a time in s on; None where forces drove."""
+    def moved_as(self) -> ImposedMotion | None:
+        """The record of a motion that the drive point was moved by; None where forces drove."""
         return None
 
     @property

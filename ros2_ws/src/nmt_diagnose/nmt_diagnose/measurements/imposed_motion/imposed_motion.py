@@ -41,6 +41,7 @@ class ImposedMotion(DrivenRecord):
         frequency_hz: middle frequency of the motion, rms velocity over rms displacement, Hz.
         size: half of what the displacement spans, m.
         force_n: largest measured force, N.
+        force: measured force at the recorded samples, N; NaN where it is no observable.
     """
 
     WORDS: ClassVar[str] = "imposed motion, its force predicted"
@@ -50,6 +51,7 @@ class ImposedMotion(DrivenRecord):
     frequency_hz: float = math.nan
     size: float = math.nan
     force_n: float = math.nan
+    force: FloatArray = field(default_factory=lambda: np.zeros(0))
 
     @classmethod
     def read(cls, bag: BagWindows) -> list[Observations]:
@@ -81,9 +83,9 @@ class ImposedMotion(DrivenRecord):
         return self.size, self.force_n
 
     @property
-    def moved_as(self) -> tuple[FloatArray, float, float] | None:
-        """The motion with its rate and start."""
-        return self.motion, self.sample_rate, self.start_s
+    def moved_as(self) -> ImposedMotion:
+        """Itself: its force is a law of its motion."""
+        return self
 
     def motions(
         self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float

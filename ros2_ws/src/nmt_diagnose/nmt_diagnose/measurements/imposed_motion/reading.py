@@ -148,6 +148,8 @@ def _one(
     amplitude = [float(np.std(motion[0][low:high])) for low, high in pairwise(bounds)]
     impedance = _impedance_noise(found, source, present, view)
     bias = _force_bias(found, view)
+    observed = np.full(stretch.samples, np.nan)
+    observed[moving] = responses[0][moving]
     table = RowTable()
     for row in range(len(present)):
         noise = math.hypot(white_noise(responses[row], rate), float(impedance[row]))
@@ -179,6 +181,7 @@ def _one(
         frequency_hz=found.frequency_hz,
         size=0.5 * float(np.ptp(motion[0])),
         force_n=float(np.abs(responses[0]).max()),
+        force=observed,
     )
     return table.observations(test)
 

@@ -1,0 +1,191 @@
+"""Search for the law of records of imposed motion: blocks of terms side by side, as many as parts left out ask for.
+
+Terms act along the measured motion, so that blocks are added one after the other to a convex problem. From each of few
+laws the families that fit best beside it are refined and judged by the parts that the fit did not see. A block stays
+only where these are told better by as much as laws have to differ to be told apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_diagnose.law.convex import ConvexFit, Solution
+from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
+from nmt_diagnose.law.law_search import best_moved, between
+from nmt_diagnose.law.moved_record import MovedRecords
+from nmt_diagnose.law.terms import Term
+from nmt_diagnose.thresholds import THRESHOLDS
+
+_BLOCKS = 5  # side by side
+_KEPT = 2  # laws that are gone on from
+_STEP = 1e-3  # of a parameter, for differences
+_REFINED = 6  # families that are refined beside each
+
+
+@dataclass(frozen=True)
+class RecordLaw:
+    """Blocks side by side with their fit."""
+
+    blocks: tuple[Block, ...]
+    fit: Solution
+
+    @property
+    def score(self) -> float:
+        """rms of whitened rows of parts that were left out."""
+        return self.fit.score
+
+    @cached_property
+    def strengths(self) -> tuple[tuple[tuple[Term, float], ...], ...]:
+        """Terms that act with their coefficients, block by block."""
+        values = iter(self.fit.coefficients)
+        pairs = [[(term, float(next(values))) for term in block.terms] for block in self.blocks]
+        return tuple(tuple(pair for pair in block if pair[1] != 0.0) for block in pairs)
+
+    @property
+    def acts(self) -> bool:
+        """Whether every block has a force, contacts their spring."""
+        pairs = zip(self.blocks, self.strengths, strict=True)
+        return all(block.terms[0] in dict(acting) if block.contact else acting for block, acting in pairs)
+
+    @property
+    def terms(self) -> list[tuple[Term, float]]:
+        """Terms that act with their coefficients."""
+        return [pair for block in self.strengths for pair in block]
+
+
+class RecordSearch:
+    """Looks for the law of records.
+
+    Args:
+        records: of the motion.
+    """
+
+    def __init__(self, records: MovedRecords) -> None:
+        self.records = records
+        inner = list(range(1, records.count - 1))
+        self.problem = ConvexFit(records.missing, records.nuisance, inner, records.names)
+        self.null = self.law(())
+
+    def law(self, blocks: Sequence[Block]) -> RecordLaw:
+        """Blocks with their fit."""
+        return RecordLaw(tuple(blocks), self.problem.solve(self.records.columns(_terms(blocks)), signed(blocks)))
+
+    def cost(self, blocks: Sequence[Block]) -> float:
+        """Squared residuals of blocks and what the priors of the errors count."""
+        return self.problem.cost(self.records.columns(_terms(blocks)), signed(blocks))
+
+    def found(self) -> list[RecordLaw]:
+        """Laws of one block and more, the best of each number of blocks among them."""
+        families = blocks_of_records(self.records.x, self.records.v)
+        result, kept = list[RecordLaw](), [self.null]
+        for _ in range(_BLOCKS):
+            grown = [law for one in kept for law in self._beside(one, list(families.values()))]
+            grown.sort(key=lambda law: law.score)
+            if (
+                not grown
+                or kept[0].score <= THRESHOLDS.law.second_from_score
+                or grown[0].score * THRESHOLDS.law.alike_score_ratio > kept[0].score
+            ):
+                return result or grown
+            kept = sorted((self.polished(law) for law in grown[:_KEPT]), key=lambda law: law.score)
+            result += kept + grown[_KEPT:]
+        return result
+
+    def _beside(self, law: RecordLaw, families: Sequence[Sequence[Block]]) -> list[RecordLaw]:
+        """The best block of the families that fit best beside a law, each with it."""
+        tried = []
+        for members in families:
+            costs = [self.cost((*law.blocks, block)) for block in members]
+            number = int(np.argmin(costs))
+            tried.append((costs[number], number, members))
+        tried.sort(key=lambda one: one[0])
+        result = []
+        for _, number, members in tried[:_REFINED]:
+            block = members[number]
+            if block.contact and len(members) > 1:
+                block = between(members, number, lambda other: self.cost((*law.blocks, other)))
+            larger = self.law((*law.blocks, self.refined(block, law.blocks)))
+            if larger.acts:
+                result.append(larger)
+        return result
+
+    def refined(self, block: Block, others: Sequence[Block]) -> Block:
+        """The block with its parameters moved to where the fit beside others is best."""
+        if not block.terms[0].first > 0.0 and 1 in block.refined:
+            return block
+        # Two parameters are moved in turn.
+        for parameter in block.refined * len(block.refined):
+            block = best_moved(block, parameter, (-0.4, 0.4), lambda other: self.cost((*others, other)))
+        return block
+
+    def polished(self, law: RecordLaw) -> RecordLaw:
+        """The law with every block refined beside the others, where parts left out are told no worse by it."""
+        blocks = list(law.blocks)
+        for k, block in enumerate(blocks[:-1]):
+            blocks[k] = self.refined(block, [*blocks[:k], *blocks[k + 1 :]])
+        found = self.law(blocks)
+        return found if found.score <= law.score and found.acts else law
+
+    def stds(self, law: RecordLaw) -> FloatArray:
+        """Standard uncertainties of the strengths of the terms that act, parameters being free, (k,)."""
+        columns = self.records.columns(_terms(law.blocks)) @ law.fit.coefficients
+        # Rows that are not independent say less, and what is left beyond the stated noise is noise, too.
+        scale = max(law.score, 1.0) / math.sqrt(self.records.independent(law.fit.corrected - columns))
+        slopes = [
+            (self._force(law, k, parameter, 1.0 + _STEP) - self._force(law, k, parameter, 1.0 - _STEP)) / (2.0 * _STEP)
+            for k, block in enumerate(law.blocks)
+            for parameter in block.refined
+        ]
+        acting = self.records.columns([term for term, _ in law.terms])
+        m, size = law.fit.nuisance.size, acting.shape[2]
+        every = np.concatenate([self.problem.nuisance, acting, *(slope[..., np.newaxis] for slope in slopes)], axis=2)
+        every = every.reshape(-1, every.shape[2])
+        norms = np.maximum(np.linalg.norm(every, axis=0), 1e-300)
+        normal = (every / norms).T @ (every / norms)
+        normal[:m, :m] += np.diag(norms[:m] ** -2.0)
+        variance = np.diag(np.linalg.pinv(normal, rcond=1e-12, hermitian=True))[m : m + size]
+        return np.asarray(scale * np.sqrt(np.maximum(variance, 0.0)) / norms[m : m + size])
+
+    def _force(self, law: RecordLaw, number: int, parameter: int, factor: float) -> FloatArray:
+        """Force of one block, whitened, with a parameter times a factor, (P, M)."""
+        block = moved(law.blocks[number], parameter, factor)
+        start = sum(len(one.terms) for one in law.blocks[:number])
+        values = law.fit.coefficients[start : start + len(block.terms)]
+        return np.asarray(self.records.columns(block.terms) @ values)
+
+    def shortened(self, law: RecordLaw) -> RecordLaw:
+        """The law without the blocks and terms that parts left out are told as well without."""
+        most = law.score * THRESHOLDS.law.alike_score_ratio**0.5
+        while True:
+            fewer = [
+                self.law((*law.blocks[:k], *shorter, *law.blocks[k + 1 :]))
+                for k, block in enumerate(law.blocks)
+                for shorter in _shorter(block)
+            ]
+            fewer = [other for other in fewer if other.score <= most and other.terms and other.acts]
+            if not fewer:
+                return law
+            law = min(fewer, key=lambda other: (len(other.terms), other.score))
+
+
+def _shorter(block: Block) -> list[tuple[Block, ...]]:
+    """A block without one of its terms, and no block."""
+    found: list[tuple[Block, ...]] = [()]
+    for term in block.terms if len(block.terms) > 1 else ():
+        found.append((Block(block.name, tuple(other for other in block.terms if other != term), block.refined),))
+    return found
+
+
+def _terms(blocks: Sequence[Block]) -> list[Term]:
+    return [term for block in blocks for term in block.terms]
+
+
+def signed(blocks: Sequence[Block]) -> BoolArray:
+    """Coefficients of blocks that may have either sign, (k,)."""
+    return np.array([term.signed for term in _terms(blocks)], bool)

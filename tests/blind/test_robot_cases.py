@@ -21,12 +21,17 @@ BOTH = RobotCase(Path("both"), "two", (COULOMB, LATE))
 WARM = RobotCase(Path("warm"), "unknown", (HEAT,))
 
 
-def stating(*terms: str, log: tuple[str, ...] = ()) -> Claims:
-    """Claims of terms such as ``coulomb@knee`` and findings of all joints."""
+GEARED = RobotCase(Path("geared"), "log", (Planted("torque_constant", "log", "knee", ("gain",), ()),))
+EITHER = (("knee", frozenset({"gain", "link_mass"})),)
+
+
+def stating(*terms: str, log: tuple[str, ...] = (), classes: tuple[tuple[str, frozenset[str]], ...] = ()) -> Claims:
+    """Claims of terms such as ``coulomb@knee``, findings of all joints, and classes."""
     pairs = [term.split("@") for term in terms]
     return Claims(
-        tuple((joint, key) for key, joint in pairs), tuple(((), key) for key in log), {("knee", "coulomb"): (0.9, 0.05)}
-    )
+        tuple((joint, key) for key, joint in pairs), tuple(((), key) for key in log),
+        {("knee", "coulomb"): (0.9, 0.05)}, classes,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -49,6 +54,11 @@ def stating(*terms: str, log: tuple[str, ...] = ()) -> Claims:
         (BOTH, stating("coulomb@knee"), "hedged"),
         (WARM, stating("coulomb@knee"), "right"),
         (WARM, stating("spring@knee"), "confidently wrong"),
+        (GEARED, stating(classes=EITHER), "hedged"),
+        (GEARED, stating(log=("gain",)), "right"),
+        (RUBBING, stating("coulomb@knee", classes=EITHER), "hedged wrong"),
+        (FINE, stating(classes=EITHER), "hedged wrong"),
+        (WARM, stating(classes=EITHER), "hedged wrong"),
     ],
 )
 def test_answers_are_classed(case: RobotCase, claims: Claims, outcome: str) -> None:

@@ -153,7 +153,8 @@ def draw(seed: int) -> tuple[str, str, list[Cause]]:
         return robot, kind, [Cause(name, joint, _sizes(name, rng)) for name, joint in pairs]
     names = {"effect": list(EFFECTS), "log": list(FAULTS), "unknown": list(UNKNOWN)}[kind]
     name = names[(7 * before) % len(names)]
-    if name == "order":
+    # A single joint and its mirror image move alike, so no log tells its sign.
+    if name in ("order", "joint_sign"):
         robot, joints = ("arm", "leg")[before % 2], 3
     joint = int(rng.integers(joints))
     if name in ("gravity", "joint_sign") and robot == "arm":

@@ -73,17 +73,20 @@ class Claims:
         terms: pairs of joint and term that differ from the model, the largest of each joint first.
         findings: pairs of joints (empty = all) and key of the faults of the log.
         values: value and standard uncertainty of a term, by joint and term.
+        classes: joint and keys of causes of which one is there, without a claim which.
     """
 
     terms: tuple[tuple[str, str], ...]
     findings: tuple[tuple[tuple[str, ...], str], ...]
     values: Mapping[tuple[str, str], tuple[float, float]]
+    classes: tuple[tuple[str, frozenset[str]], ...] = ()
 
     @property
     def text(self) -> str:
         """In one line."""
         log = ", ".join(f"{key}({','.join(joints)})" if joints else key for joints, key in self.findings)
-        return f"[{log}] " + ", ".join(f"{key}@{joint}" for joint, key in self.terms)
+        either = [f"{' or '.join(sorted(keys))}@{joint}" for joint, keys in self.classes]
+        return f"[{log}] " + ", ".join([*(f"{key}@{joint}" for joint, key in self.terms), *either])
 
 
 @dataclass(frozen=True)
@@ -136,8 +139,15 @@ def claims_of(diagnosis: Mapping[str, Any]) -> Claims:
                 terms.append((str(joint["joint"]), str(term["key"])))
             values[str(joint["joint"]), str(term["key"])] = (float(term["value"]), float(term["std"]))
     faults = [item for item in diagnosis["log_findings"] if item["fault"]]
+    classes = [
+        (str(joint), frozenset(map(str, (item["key"], *item["instead"]))))
+        for item in diagnosis["log_findings"]
+        if item["instead"] and not item["fault"]
+        for joint in item["joints"]
+    ]
     return Claims(
-        tuple(terms), tuple((tuple(map(str, item["joints"])), str(item["key"])) for item in faults), values
+        tuple(terms), tuple((tuple(map(str, item["joints"])), str(item["key"])) for item in faults), values,
+        tuple(classes),
     )  # fmt: skip
 
 
@@ -147,26 +157,31 @@ def judge_robot(case: RobotCase, claims: Claims) -> RobotAnswer:
     * A claim is false if no cause of the case has it among its names or parts, at its joint. Of a case that no library
       has, friction and offset at the joint are no false claims. ``ORDINARY`` findings are none.
     * right: every cause is named, by the largest term of its joint or a finding, and nothing is false.
-    * hedged: the same by a part or a smaller term, or not every cause, and nothing is false; or all are named and a
-      finding on the log is false.
+    * hedged: the same by a part, a class or a smaller term, or not every cause, and nothing is false; or all are named
+      and a finding on the log is false.
     * confidently wrong: a false term where no cause is named; any term where the log alone is at fault or the robot is
       healthy; a false finding on a healthy log.
-    * hedged wrong: all else, such as silence.
+    * hedged wrong: all else, such as silence, or a class of which nothing is there.
     """
     named = [_named(cause, claims) for cause in case.causes]
     false_terms = [term for term in claims.terms if not _allowed_term(case, *term)]
     false_findings = [key for joints, key in claims.findings if not _allowed_finding(case, key)]
+    false_classes = [
+        f"{' or '.join(sorted(keys))}@{joint}"
+        for joint, keys in claims.classes
+        if not any(cause.joint == joint and keys & {*cause.named} for cause in case.causes)
+    ]
     deviation = _deviation(case, claims)
-    words = ", ".join([*(f"{key}@{joint}" for joint, key in false_terms), *false_findings])
+    words = ", ".join([*(f"{key}@{joint}" for joint, key in false_terms), *false_findings, *false_classes])
     reason = f"false: {words}" if words else ""
     if case.kind == "unknown":
-        outcome = "confidently wrong" if false_terms or false_findings else "right"
-        return RobotAnswer(outcome, reason, deviation)
+        sure = "confidently wrong" if false_terms or false_findings else "right"
+        return RobotAnswer("hedged wrong" if false_classes and sure == "right" else sure, reason, deviation)
     if false_terms and (case.kind in ("healthy", "log") or not any(named)):
         return RobotAnswer("confidently wrong", reason, deviation)
-    if case.kind == "healthy":
+    if case.kind == "healthy" and (false_findings or not false_classes):
         return RobotAnswer("confidently wrong" if false_findings else "right", reason, deviation)
-    if false_terms or (false_findings and min(named) == 0):
+    if false_terms or false_classes or (false_findings and min(named) == 0):
         return RobotAnswer("hedged wrong", reason, deviation)
     if min(named) == 2 and not false_findings:
         return RobotAnswer("right", "", deviation)
@@ -176,15 +191,16 @@ def judge_robot(case: RobotCase, claims: Claims) -> RobotAnswer:
 
 
 def _named(cause: Planted, claims: Claims) -> int:
-    """2: named; 1: a part of it, or behind another term of its joint; 0: not."""
+    """2: named; 1: a part of it, in a class, or behind another term of its joint; 0: not."""
+    in_class = any(joint == cause.joint and keys & {*cause.named} for joint, keys in claims.classes)
     if cause.of == "log":
         hits = [joints for joints, key in claims.findings if key in cause.named]
         at_joint = [not joints or not cause.joint or cause.joint in joints for joints in hits]
-        return 2 if any(at_joint) else 0
+        return 2 if any(at_joint) else int(in_class)
     terms = [key for joint, key in claims.terms if joint == cause.joint]
     if terms and terms[0] in cause.named:
         return 2
-    return 1 if set(terms) & {*cause.named, *cause.partly} else 0
+    return int(in_class or bool(set(terms) & {*cause.named, *cause.partly}))
 
 
 def _allowed_term(case: RobotCase, joint: str, key: str) -> bool:

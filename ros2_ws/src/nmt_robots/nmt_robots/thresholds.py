@@ -16,6 +16,9 @@ class Thresholds:
         alike: cosine between what two effects add beyond the usual terms; above it they are one class.
         fits_as_well: a reading of the log whose pooled relative residual, squared, is larger by no more than this fits
             as well.
+        smallest_floor: of a joint's torque; no set of causes is expected to leave less over, for the bodies have
+            errors of that size.
+        needed_gain: share by which an effect that is needed has to shrink what held-out rows leave over.
         unexplained: torque left over, as a share of the torque, from which nothing is claimed of a joint.
         moving_rows: share of rows; a joint that moves in fewer is not judged.
         lag_s: a delay below this is within what rows of a log can tell, s.
@@ -35,6 +38,8 @@ class Thresholds:
     certain: float = 3.0
     alike: float = 0.95
     fits_as_well: float = 0.06
+    smallest_floor: float = 0.02
+    needed_gain: float = 0.05
     unexplained: float = 0.15
     moving_rows: float = 0.1
     lag_s: float = 0.001

@@ -20,6 +20,7 @@ class Finding:
         share: of the torque that the plain reading leaves over, taken by it; NaN where that is not known.
         joints: whose it is; empty = the log's, all joints share it.
         fault: whether it is one; else it is only said.
+        instead: keys of terms of the joints that would do as well, so that it is one of a class.
     """
 
     key: str
@@ -30,6 +31,7 @@ class Finding:
     share: float = float("nan")
     joints: tuple[str, ...] = field(default=())
     fault: bool = True
+    instead: tuple[str, ...] = field(default=())
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
@@ -42,6 +44,7 @@ class Finding:
             "share": self.share,
             "joints": list(self.joints),
             "fault": self.fault,
+            "instead": list(self.instead),
         }
 
 

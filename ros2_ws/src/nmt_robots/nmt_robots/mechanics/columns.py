@@ -12,6 +12,9 @@ from nmt_robots.mechanics.motion import Motion
 _LARGEST_SCALE = 0.5
 """Of gravity or inertia: no link of a model is wrong by more than half."""
 
+_PASSIVE = frozenset({"stribeck", "quadratic_friction", "root_friction", "load_friction", "end_stop"})
+"""Rivals that would drive the joint if their coefficient were negative."""
+
 
 @dataclass(frozen=True, eq=False)
 class Effect:
@@ -25,6 +28,8 @@ class Effect:
         never_negative: whether a negative coefficient is impossible.
         shape: number that is fixed in the columns, such as a speed; in sentences.
         largest: size of a coefficient beyond which it is not what its words say; infinite without one.
+        smallest: the same below which it is not.
+        frees: key of a usual effect that it brings with it, such as the offset of a spring whose rest is not known.
         made_of_torque: whether the columns are part of the drive's torque itself, so that they can make it small.
     """
 
@@ -36,6 +41,8 @@ class Effect:
     shape: str = ""
     largest: float = np.inf
     made_of_torque: bool = False
+    smallest: float = 0.0
+    frees: str = ""
 
     @property
     def parameters(self) -> int:
@@ -72,7 +79,7 @@ def rival_effects(
     found: list[Effect] = []
 
     def add(key: str, words: str, unit: str, *columns: Array, shape: str = "", largest: float = np.inf) -> None:
-        found.append(Effect(key, words, unit, np.column_stack(columns), shape=shape, largest=largest))
+        found.append(Effect(key, words, unit, np.column_stack(columns), key in _PASSIVE, shape, largest))
 
     for speed in (0.05, 0.1, 0.2, 0.5):
         if speed < 0.3 * float(np.max(np.abs(v))):
@@ -91,7 +98,9 @@ def rival_effects(
     if np.std(rigid - gravity) > 0.0:
         add("inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1", rigid - gravity,
             largest=_LARGEST_SCALE)  # fmt: skip
-    add("spring", "spring or counterbalance", "N·m/rad", q - np.mean(q))
+    found.append(
+        Effect("spring", "spring or counterbalance", "N·m/rad", (q - np.mean(q))[:, None], frees="offset")
+    )  # fmt: skip
     if np.std(gravity) > 0.0:
         add("mass_centre", "mass or centre of mass in the plane of the joint", "N·m", np.cos(q), np.sin(q),
             largest=_LARGEST_SCALE * float(np.max(np.abs(gravity))))  # fmt: skip
@@ -104,8 +113,8 @@ def rival_effects(
         lowest, highest = (float(x) for x in np.quantile(size, (0.5, 0.98)))
         for limit in np.linspace(lowest, highest, 16):
             beyond = np.sign(torque) * np.maximum(size - limit, 0.0)
-            found.append(Effect("saturation", "limit of the drive's torque", "1", beyond[:, None],
-                                shape=f"{limit:.3g} N·m", largest=1.5, made_of_torque=True))  # fmt: skip
+            found.append(Effect("saturation", "limit of the drive's torque", "1", beyond[:, None], True,
+                                f"{limit:.3g} N·m", 1.5, True, 0.5))  # fmt: skip
     for side in (1.0, -1.0):
         low, high = np.quantile(side * q, (0.75, 0.998))
         for angle in side * np.linspace(low, high, 20):

@@ -181,14 +181,12 @@ class JointProblem:
         nuisances = nuisances_of(usual, in_model, (angle, gravity, inertial), self.torque)
         chooser = Chooser(self.left, self.torque, nuisances, float(np.count_nonzero(self._rows)) * self.motion.step_s)
         rivals = [(effect, self.columns([effect])) for effect in self.rivals]
-        floor = _rms(self.left - np.column_stack([x.column for x in nuisances]) @ np.linalg.lstsq(
-            np.column_stack([x.column for x in nuisances]), self.left, rcond=1e-10)[0])  # fmt: skip
+        least = THRESHOLDS.smallest_floor * float(np.std(self.torque))
+        # The usual effects are free here; once more with what the causes leave over, which is less where one is needed.
+        matrix = np.column_stack([columns for _, columns in usual])
+        floor = max(_rms(self.left - matrix @ np.linalg.lstsq(matrix, self.left, rcond=1e-10)[0]), least)
         chosen = chooser.choose(self.usual, rivals, floor)
-        # Once more with what these leave over, which is less where a rival is needed.
-        others = [self.columns([effect]) for effect in chosen if effect.key not in USUAL]
-        matrix = np.column_stack([*(x.column for x in nuisances), *others])
-        left = _rms(self.left - matrix @ np.linalg.lstsq(matrix, self.left, rcond=1e-10)[0])
-        floor = max(left, 0.02 * float(np.std(self.torque)))
+        floor = max(chooser.floor_of(chosen, rivals, floor), least)
         chosen = chooser.choose(self.usual, rivals, floor)
         return chosen, chooser.instead_of_first(chosen, self.usual, rivals, floor)
 
@@ -231,7 +229,7 @@ def explain(
             if effect.key in USUAL:
                 causes.append(effect.key)
                 continue
-            taken = _gains(problem, effects, now, [effect])
+            taken = _gains(problem, effects, now, [effect], needed=True)
             if taken and _earns_its_place(problem, effects, effect):
                 effects.append(effect)
                 causes.append(effect.key)
@@ -268,11 +266,12 @@ def _further(problem: JointProblem, effects: list[Effect], now: HeldOut) -> tupl
 
 
 def _gains(
-    problem: JointProblem, effects: list[Effect], now: HeldOut, rivals: list[Effect]
+    problem: JointProblem, effects: list[Effect], now: HeldOut, rivals: list[Effect], needed: bool = False
 ) -> list[tuple[Effect, float, HeldOut]]:
     """Rivals that improve both held-out parts by a claimable share of the torque, best first.
 
-    The gain is the torque that they take, as a share of the joint's.
+    Beside usual effects that are free, one that is needed beside those of the model may take less: it has to shrink
+    what both parts leave over. The gain is the torque that a rival takes, as a share of the joint's.
     """
     matrix = problem.columns(effects)
     basis = np.linalg.qr(matrix)[0]
@@ -283,7 +282,7 @@ def _gains(
         column = problem.columns([rival])
         beyond = np.linalg.qr(column - basis @ (basis.T @ column))[0]
         bound = _rms(beyond @ (beyond.T @ unexplained)) / max(now.torque, 1e-300)
-        if bound < THRESHOLDS.smallest_share:
+        if bound < THRESHOLDS.smallest_share and not needed:
             continue
         after = problem.held_out([*effects, rival])
         # What makes the torque itself smaller must shrink what is left by more than that.
@@ -291,7 +290,10 @@ def _gains(
         gained = now.interleaved**2 - (after.interleaved / fair) ** 2
         if gained > 0.0 and after.last / fair < now.last:
             share = float(np.sqrt(gained)) / max(now.torque, 1e-300)
-            if share > THRESHOLDS.smallest_share:
+            shrunk = max(after.interleaved / fair / now.interleaved, after.last / fair / now.last)
+            # What a delay of the loop does as well has to take more.
+            lesser = needed and rival.key != "jerk" and shrunk < 1.0 - THRESHOLDS.needed_gain
+            if share > THRESHOLDS.smallest_share or lesser:
                 found.append((rival, share, after))
     return sorted(found, key=lambda item: -item[1])
 
@@ -303,7 +305,7 @@ def _earns_its_place(problem: JointProblem, effects: list[Effect], rival: Effect
     for effect in [*effects, rival]:
         part = slice(place, place + effect.parameters)
         place += effect.parameters
-        if float(np.linalg.norm(fit.values[part])) > effect.largest:
+        if not effect.smallest <= float(np.linalg.norm(fit.values[part])) <= effect.largest:
             return False
         added = _rms(problem.columns([effect]) @ fit.values[part])
         if effect.key not in USUAL and not effect.made_of_torque and added > float(np.std(problem.torque)):

@@ -64,11 +64,11 @@ class Chooser:
         Args:
             usual: effects that have a nuisance of their key.
             rivals: effects with their filtered columns in the rows.
-            floor: rms that is left where everything is free, N·m.
+            floor: rms that no set of causes is expected to undercut, N·m.
         """
         columns = {id(effect): values for effect, values in rivals}
         candidates = [effect for effect in usual if effect.key in self._keys] + [effect for effect, _ in rivals]
-        variance = max(floor**2, 1e-6 * self._total / len(self._left), 1e-300) * len(self._left) / self._effective
+        variance = self._variance(floor)
         chosen: list[Effect] = []
         cost = self._cost(chosen, columns, variance)
         for _ in range(_AT_MOST):
@@ -88,6 +88,18 @@ class Chooser:
             chosen, cost = self._exchanged(chosen, candidates, columns, variance, cost)
         return chosen
 
+    def floor_of(self, causes: list[Effect], rivals: list[tuple[Effect, Array]], floor: float) -> float:
+        """Rms that is left by causes where all else moves at its cost, N·m; arguments as of choose."""
+        columns = {id(effect): values for effect, values in rivals}
+        variance = self._variance(floor)
+        squares, _, _ = self._parts_of_cost(causes, columns, variance)
+        return float(np.sqrt(squares * variance / len(self._left)))
+
+    def _variance(self, floor: float) -> float:
+        """Of a row, so that neighbours that leave the same over count as one, (N·m)²."""
+        least = max(floor**2, 1e-6 * self._total / len(self._left), 1e-300)
+        return least * len(self._left) / self._effective
+
     def instead_of_first(
         self, chosen: list[Effect], usual: list[Effect], rivals: list[tuple[Effect, Array]], floor: float
     ) -> tuple[str, ...]:
@@ -96,7 +108,7 @@ class Chooser:
             return ()
         columns = {id(effect): values for effect, values in rivals}
         candidates = [effect for effect in usual if effect.key in self._keys] + [effect for effect, _ in rivals]
-        variance = max(floor**2, 1e-6 * self._total / len(self._left), 1e-300) * len(self._left) / self._effective
+        variance = self._variance(floor)
         cost = self._cost(chosen, columns, variance)
         keys = {effect.key for effect in chosen}
         found = [
@@ -135,7 +147,17 @@ class Chooser:
         return self._costs[asked]
 
     def _cost_of_set(self, causes: list[Effect], columns: dict[int, Array], variance: float) -> float:
-        free = {effect.key for effect in causes}
+        squares, kept, pulls = self._parts_of_cost(causes, columns, variance)
+        return squares / kept + pulls if kept > 0.0 else np.inf
+
+    def _parts_of_cost(
+        self, causes: list[Effect], columns: dict[int, Array], variance: float
+    ) -> tuple[float, float, float]:
+        """Weighted squares of what is left, share of the torque that is kept, and squares of the pulls.
+
+        Nothing is kept where a coefficient is negative that may not be.
+        """
+        free = {effect.key for effect in causes} | {effect.frees for effect in causes}
         stds = np.where([key in free and key != "" for key in self._keys], _FREE, 1.0) * self._stds
         parts = [self._rival(effect, columns[id(effect)]) for effect in causes if id(effect) in columns]
         size = len(stds) + sum(len(part[2]) for part in parts)
@@ -161,16 +183,21 @@ class Chooser:
         solution = solve_scaled(gram / np.outer(scale, scale), moment / scale, 1e-12) / scale
         pulls = float(np.sum((solution[:count] / stds) ** 2))
         squares = float(self._total / variance - solution @ moment) - pulls
-        return max(squares, 0.0) / self._kept_torque(causes, parts, solution[count:]) + pulls
+        return max(squares, 0.0), self._kept_torque(causes, parts, solution[count:]), pulls
 
     def _kept_torque(
         self, causes: list[Effect], parts: list[tuple[Array, Array, Array, Array]], values: Array
     ) -> float:
-        """Square of the torque with the gain of a set of causes against that without: scale to zero explains all."""
+        """Square of the torque with the gain of a set of causes against that without: scale to zero explains all.
+
+        Zero where a coefficient is negative that may not be.
+        """
         torque, place = self._torque, 0
         rivals = [effect for effect in causes if effect.key not in self._keys]
         for effect, part in zip(rivals, parts, strict=True):
             width = part[3].shape[1]
+            if effect.never_negative and np.any(values[place : place + width] < 0.0):
+                return 0.0
             if effect.made_of_torque:
                 torque = torque - part[3] @ values[place : place + width]
             place += width

@@ -175,7 +175,7 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
             if not share.effect.made_of_torque or share.effect.key not in best.causes:
                 continue
             name = verdict.joint.name
-            bodies = share.effect.key == best.causes[0] and bool(_OF_BODIES & set(best.instead))
+            bodies = _OF_BODIES & set(best.instead) if share.effect.key == best.causes[0] else set()
             value = value_text(share.size, share.size_std, share.effect.unit if share.effect.unit != "1" else "")
             if share.effect.key == "saturation":
                 sentence = f"{name}: the drive's torque ends at {share.effect.shape}; the computed one goes beyond."
@@ -193,7 +193,7 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
             found.append(
                 Finding(
                     share.effect.key, sentence, share.size, share.size_std, share.effect.unit, joints=(name,),
-                    fault=not bodies,
+                    fault=not bodies, instead=tuple(sorted(bodies)),
                 )
             )  # fmt: skip
     return found
@@ -233,21 +233,22 @@ def joint_verdict(
     terms = []
     for share in best.shares:
         key = share.effect.key
-        others = [_size_in(result, share) for result in results[1:]]
-        deviation = max((abs(other - share.size) for other in others), default=0.0)
-        std = float(np.hypot(share.size_std, deviation))
+        sizes = [share.size, *(_size_in(result, share) for result in results[1:])]
+        std = float(np.hypot(share.size_std, max(abs(size - share.size) for size in sizes)))
         if key == "load_friction":
             # Of the torque or of the load: the same to first order.
             std = float(np.hypot(std, share.size**2))
         reference = in_model.get(key, 0.0)
         difference = share.size - reference
+        # Each reading of the log by itself has to differ: their spread is a bound and no standard deviation.
+        nearest = min((size - reference) * np.sign(difference) for size in sizes)
         unit_rms = share.rms / abs(share.size) if share.size else 0.0
         part = abs(difference) * unit_rms / max(best.held_out.torque, 1e-300)
         tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
         differs = (
             part > THRESHOLDS.smallest_share
-            and abs(difference) > THRESHOLDS.certain * std
-            and abs(difference) > THRESHOLDS.certain * tolerance
+            and nearest > THRESHOLDS.certain * share.size_std
+            and nearest > THRESHOLDS.certain * tolerance
             and share.impossible == 0.0
             and key in best.causes
             and explained

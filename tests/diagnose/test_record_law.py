@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,12 +16,16 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.law.record_law import read_record_law
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.say.law_sentences import law_sentences
 from nmt_diagnose.search.law_starts import law_of
 from nmt_report.law_figures import law_figure, law_table
+from nmt_rig.rig import load_rig
+from nmt_rig.rig_snapshot import rig_text
 
 TEXT = DRIVE.format(spring=12.0, damper=0.05)
 TIME = np.arange(4000) / RATE
@@ -97,6 +103,83 @@ def test_terms_side_by_side_are_told_apart(tmp_path: Path, words: str) -> None:
         assert found[kind].coefficient == pytest.approx(strength, rel=0.05)
         assert abs(found[kind].coefficient - strength) < 4.0 * found[kind].std
     assert min(reading.closed_inside, reading.closed_above) > 0.95
+
+
+FOLLOWED = {
+    "friction": ("current", "A", 0.8 + 0.6 * np.sin(0.8 * TIME), np.tanh(V / 2e-3), (0.05, 0.12)),
+    "falling friction": ("current", "A", 0.8 + 0.6 * np.sin(0.8 * TIME), np.tanh(V / 2e-3), (0.2, -0.1)),
+    "damping": ("voltage", "V", np.where(TIME < 9.0, 1.0, 4.0), V * np.abs(V), (2.0, 3.0)),
+    "slider": ("current", "A", 1.0 + 0.5 * np.sin(0.5 * TIME), None, (20.0, 40.0)),
+}
+
+
+@pytest.mark.parametrize("case", FOLLOWED)
+def test_a_strength_that_follows_a_channel_is_told_with_it(tmp_path: Path, case: str) -> None:
+    """f = (a + b s(t)) g(x, v), with the channel s measured."""
+    channel, unit, values, shape, (constant, slope) = FOLLOWED[case]
+    shape = jenkins(X, 1.0, 1e-3) if shape is None else shape
+    force = 2e-3 * A + 0.05 * V + 12.0 * X + (constant + slope * values) * shape
+    force += 1e-3 * np.random.default_rng(4).standard_normal(TIME.size)
+    rig = rig_of(tmp_path, TEXT)
+    segment = record(TIME.size, held="response")
+    bag = bag_of(tmp_path, RATE, {"displacement 1": X, "force 1": force, f"{channel} 1": values}, segment, TEXT)
+    reading = law_of(rig, read_observations([bag], rig))
+    assert reading is not None
+    assert reading.is_stated
+    (law,) = reading.laws
+    assert law.family.endswith(f"that follows the {channel}")
+    base, following = law.terms
+    assert (base.by, following.by) == ("", channel)
+    assert (following.unit) == f"{base.unit}/{unit}"
+    assert base.coefficient == pytest.approx(constant, rel=0.05)
+    assert following.coefficient == pytest.approx(slope, rel=0.05)
+    assert abs(following.coefficient - slope) < 4.0 * following.std
+    sentences = " ".join(law_sentences(reading, True))
+    assert f"{'grows' if slope > 0.0 else 'falls'} with the {channel}: " in sentences
+    assert "No element there follows a channel" in sentences
+    ((_, low, high),) = law.valid_between
+    (middle,) = law.at_middle
+    assert middle.coefficient == pytest.approx(constant + slope * 0.5 * (low + high), rel=0.05)
+
+
+def test_a_channel_that_nothing_follows_is_not_told(tmp_path: Path) -> None:
+    values = 0.8 + 0.6 * np.sin(0.8 * TIME)
+    force = 2e-3 * A + 0.05 * V + 12.0 * X + 0.05 * np.tanh(V / 2e-3)
+    force += 1e-3 * np.random.default_rng(4).standard_normal(TIME.size)
+    rig = rig_of(tmp_path, TEXT)
+    columns = {"displacement 1": X, "force 1": force, "current 1": values}
+    bag = bag_of(tmp_path, RATE, columns, record(TIME.size, held="response"), TEXT)
+    reading = law_of(rig, read_observations([bag], rig))
+    assert reading is not None
+    assert [law.family for law in reading.laws] == ["dry friction"]
+
+
+CLOSED_FORMS: dict[str, Callable[[Any], FloatArray]] = {
+    "cubic_spring": lambda it: it.stiffness_n_m3 * X**3,
+    "tanh_friction": lambda it: it.slip_force_n * np.tanh(V / it.reference_velocity_m_s),
+    "two_sided_gap": lambda it: it.stiffness_n_m * np.sign(X) * np.maximum(np.abs(X) - it.gap_m, 0.0),
+    "unilateral_stop": lambda it: it.stiffness_n_m * np.maximum(X - it.gap_m, 0.0),
+    "jenkins": lambda it: jenkins(X, it.tangential_stiffness_n_m, it.slip_force_n),
+    "power_law_damper": lambda it: it.coefficient_n_sp_mp * np.sign(V) * np.abs(V) ** it.exponent,
+}
+
+
+@pytest.mark.parametrize("words", ["hardening spring", "dry friction", "clearance", *BESIDE])
+def test_a_law_comes_back_from_the_file_that_has_it(tmp_path: Path, words: str) -> None:
+    """Law, rig file, a record by closed forms of the elements in that file, and the law of that record."""
+    (first_folder := tmp_path / "first").mkdir()
+    (again_folder := tmp_path / "again").mkdir()
+    reading = reading_of(first_folder, {**LAWS, **BESIDE}[words][0])
+    file = tmp_path / "written.yaml"
+    file.write_text(rig_text(with_law(rig_of(tmp_path, TEXT), reading)), encoding="utf-8")
+    elements = load_rig(file, vibrating=False).local_elements
+    force = np.sum([CLOSED_FORMS[element.kind](element) for element in elements], axis=0)
+    (law,), (before,) = reading_of(again_folder, force).laws, reading.laws
+    assert law.family == before.family
+    for term, other in zip(law.terms, before.terms, strict=True):
+        assert term.kind == other.kind
+        assert term.coefficient == pytest.approx(other.coefficient, rel=0.03)
+    assert all(element.valid_to_m == pytest.approx(law.valid_to_m, rel=0.01) for element in elements)
 
 
 def test_a_healthy_record_has_no_law(tmp_path: Path) -> None:

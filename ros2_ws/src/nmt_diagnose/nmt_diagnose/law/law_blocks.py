@@ -30,6 +30,16 @@ class Block:
     refined: tuple[int, ...] = ()
 
     @property
+    def by(self) -> str:
+        """Measured channel that its coefficients follow; empty = none."""
+        return self.terms[-1].by
+
+    def following(self, channel: str, about: float) -> Block:
+        """The block with coefficients that change with a measured channel, and are its strengths at a value of it."""
+        changing = (replace(term, by=channel, about=about) for term in self.terms)
+        return replace(self, terms=(*self.terms, *changing))
+
+    @property
     def contact(self) -> bool:
         """Whether it is open along a part of the motion."""
         return self.terms[0].kind in ("gap", "stop")
@@ -116,5 +126,5 @@ def _alone(form: LawForm, a: float, s: float) -> list[Block]:
 def moved(block: Block, number: int, factor: float) -> Block:
     """The block with parameter 1 or 2 of its terms times a factor."""
     first, second = (factor, 1.0) if number == 1 else (1.0, factor)
-    terms = tuple(Term(t.kind, first * t.first, second * t.second) for t in block.terms)
+    terms = tuple(replace(t, first=first * t.first, second=second * t.second) for t in block.terms)
     return Block(block.name, terms, block.refined)

@@ -25,7 +25,7 @@ def element_of(term: LawTerm, law: LocalLaw) -> ElementSection | None:
 def with_law(rig: Rig, reading: LawReading) -> Rig:
     """The rig with the laws of a reading as local elements; terms that no kind of element has are left out."""
     for law in reading.laws:
-        for term in law.terms:
+        for term in law.at_middle:
             element = element_of(term, law)
             if element is not None:
                 rig = with_element(rig, element)  # type: ignore[arg-type]
@@ -34,5 +34,5 @@ def with_law(rig: Rig, reading: LawReading) -> Rig:
 
 def not_written(laws: Sequence[LocalLaw]) -> tuple[str, ...]:
     """What of the laws no kind of element has, in words."""
-    terms = [term for law in laws for term in law.terms if element_of(term, law) is None]
+    terms = [term for law in laws for term in law.at_middle if element_of(term, law) is None]
     return tuple(dict.fromkeys(t.of_unit_strength.form.unwritten or "a stop on the negative side" for t in terms))

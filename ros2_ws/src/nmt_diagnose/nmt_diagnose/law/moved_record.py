@@ -26,7 +26,8 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 _PARTS = 10
-_ROWS = 4000  # of all records together
+_ROWS = 2500  # of all records together
+POSITION = "displacement"
 _STEP = 1e-3  # of a logarithm, for differences
 
 
@@ -41,6 +42,7 @@ class MovedRecord:
         missing: measured force less that of the model at these, N.
         sigma: standard deviation of each, N.
         errors: what a standard deviation of each error of chain and model adds, N.
+        channels: measured channels that a coefficient may follow, (1, n); the displacement is one.
     """
 
     test: ImposedMotion
@@ -50,6 +52,7 @@ class MovedRecord:
     missing: tuple[FloatArray, ...]
     sigma: tuple[FloatArray, ...]
     errors: dict[str, tuple[FloatArray, ...]]
+    channels: dict[str, FloatArray]
 
     @classmethod
     def of(cls, rig: Rig, observations: Observations, number: int, parts: int, most: int) -> MovedRecord | None:
@@ -76,6 +79,9 @@ class MovedRecord:
         chain = observations.chains[number] if observations.chains else None
         errors = dict(test.record_errors(dense, rig, cache, settings, chain)[0])
         errors[constant_of(test)] = np.full(samples.size, test.force_n)
+        # Channels are sampled in step or half a sample apart.
+        slope = np.gradient(np.interp(np.arange(test.force.size), samples, test.force[samples]))
+        errors[f"delay of the force in {test.name}"] = 0.5 * slope[samples]
         for parameter in calibration_parameters(rig):
             change = (predictor.values(parameter.apply(rig, _STEP), cache, ()) - base) / _STEP
             if np.any(change):
@@ -87,7 +93,13 @@ class MovedRecord:
             tuple(factor * samples[piece] for piece in pieces), tuple(missing[piece] for piece in pieces),
             tuple(sigma[piece] for piece in pieces),
             {name: tuple(column[piece] for piece in pieces) for name, column in errors.items()},
+            {POSITION: test.motion[:1], **{name: values[np.newaxis] for name, values in test.followed.items()}},
         )  # fmt: skip
+
+    def force(self, term: Term) -> FloatArray:
+        """Force of a term of unit strength at all samples, N, (n,)."""
+        force: FloatArray = term.force(self.x, self.v)[0]
+        return force * (self.channels[term.by][0] - term.about) if term.by else force
 
 
 def constant_of(test: ImposedMotion) -> str:
@@ -152,6 +164,13 @@ class MovedRecords:
         """Velocity at the rows, m/s, (1, n)."""
         return np.concatenate([record.v[:, record.parts[part]] for record, part in self._parts()], axis=1)
 
+    def range_of(self, channel: str) -> tuple[float, float]:
+        """Smallest and largest value of a channel at the rows; both 0 where a record has none of that name."""
+        if any(channel not in record.channels for record in self.records):
+            return 0.0, 0.0
+        values = [record.channels[channel][0, record.parts[part]] for record, part in self._parts()]
+        return min(float(one.min()) for one in values), max(float(one.max()) for one in values)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Errors of chain and model."""
@@ -185,7 +204,7 @@ class MovedRecords:
         return np.stack(made, axis=-1) if made else np.zeros((*self.missing.shape, 0))
 
     def _column(self, term: Term) -> FloatArray:
-        forces = [term.force(record.x, record.v)[0] for record in self.records]
+        forces = [record.force(term) for record in self.records]
         return self._padded(
             [forces[k][self.records[k].parts[part]] / self.records[k].sigma[part] for k, part in self.part_of]
         )

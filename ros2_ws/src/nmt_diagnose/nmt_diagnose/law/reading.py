@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,7 @@ class LawTerm:
         parameters: of the formula, SI.
         coefficient, std: its strength with its standard uncertainty.
         unit: of the strength.
+        by: measured channel that the term is multiplied by; empty = none.
     """
 
     kind: str
@@ -42,12 +43,14 @@ class LawTerm:
     coefficient: float
     std: float
     unit: str
+    by: str = ""
 
     @property
     def of_unit_strength(self) -> Term:
         """The formula; a stop whose gap is zero states its side only."""
         stop = self.kind in ("stop", "stop damping")
-        return Term(self.kind, *((0.0, *self.parameters)[-2:] if stop else self.parameters))
+        first, second = ((0.0, *self.parameters)[-2:] if stop else (*self.parameters, 0.0, 0.0))[:2]
+        return Term(self.kind, first, second, self.by)
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class LocalLaw:
         other_places: places at which a law of its family does nearly as well.
         loops: force over displacement and velocity, level by level.
         other_families: families that do nearly as well at its place and do not have its terms among theirs.
+        valid_between: channels that its strengths follow, with the smallest and the largest value that was visited.
     """
 
     point: int
@@ -72,6 +76,25 @@ class LocalLaw:
     other_places: tuple[str, ...]
     loops: tuple[ForceLoop, ...]
     other_families: tuple[str, ...] = ()
+    valid_between: tuple[tuple[str, float, float], ...] = ()
+
+    @property
+    def at_middle(self) -> tuple[LawTerm, ...]:
+        """Its terms with strengths at the middle of the range of the channels that they follow."""
+        middles = {name: 0.5 * (low + high) for name, low, high in self.valid_between}
+        result = []
+        for term in self.terms:
+            alike = (
+                other
+                for other in self.terms
+                if other.by
+                and replace(other, by="", coefficient=0.0, std=0.0, unit="")
+                == replace(term, coefficient=0.0, std=0.0, unit="")
+            )
+            if not term.by:
+                change = sum(other.coefficient * middles[other.by] for other in alike)
+                result.append(replace(term, coefficient=term.coefficient + change))
+        return tuple(result)
 
     @property
     def place(self) -> str:

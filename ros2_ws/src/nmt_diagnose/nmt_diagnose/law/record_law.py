@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.moved_record import MovedRecords, constant_of
@@ -75,10 +77,7 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
 
 def _law(search: RecordSearch, best: RecordLaw, tried: Sequence[RecordLaw]) -> LocalLaw:
     records = search.records
-    terms = tuple(
-        LawTerm(t.kind, tuple(p for p in (float(t.first), float(t.second)) if p), c, float(s), t.unit)
-        for (t, c), s in zip(best.terms, search.stds(best), strict=True)
-    )
+    terms = _law_terms(best, search.covariance(best))
     words = words_of(records, best)
     others = {
         words_of(records, law): None
@@ -87,7 +86,26 @@ def _law(search: RecordSearch, best: RecordLaw, tried: Sequence[RecordLaw]) -> L
     }
     others.pop(words, None)
     largest = float(np.abs(records.x).max())
-    return LocalLaw(records.point, 0, words, terms, largest, (), _loops(records, best), tuple(others)[:_NAMED])
+    channels = dict.fromkeys(term.by for term in terms if term.by)
+    between = tuple((channel, *records.range_of(channel)) for channel in channels)
+    return LocalLaw(
+        records.point, 0, words, terms, largest, (), _loops(records, best), tuple(others)[:_NAMED], between
+    )  # fmt: skip
+
+
+def _law_terms(best: RecordLaw, covariance: FloatArray) -> tuple[LawTerm, ...]:
+    """Terms with their strengths where the channels that they follow are zero, and what a unit of these adds."""
+    terms = [term for term, _ in best.terms]
+    at_zero = np.eye(len(terms))
+    for k, term in enumerate(terms):
+        if term.by:
+            at_zero[terms.index(replace(term, by="", about=0.0)), k] = -term.about
+    values = at_zero @ np.array([value for _, value in best.terms])
+    stds = np.sqrt(np.maximum(np.diag(at_zero @ covariance @ at_zero.T), 0.0))
+    return tuple(
+        LawTerm(t.kind, tuple(p for p in (float(t.first), float(t.second)) if p), float(c), float(s), t.unit, t.by)
+        for t, c, s in zip(terms, values, stds, strict=True)
+    )
 
 
 def words_of(records: MovedRecords, law: RecordLaw) -> str:
@@ -95,7 +113,8 @@ def words_of(records: MovedRecords, law: RecordLaw) -> str:
     sizes: dict[str, float] = {}
     for block in law.strengths:
         force = records.columns([term for term, _ in block]) @ np.array([value for _, value in block])
-        words = family(block)
+        words = family([pair for pair in block if not pair[0].by])
+        words += f" that follows the {block[-1][0].by}" if block[-1][0].by else ""
         sizes[words] = max(sizes.get(words, 0.0), float(np.linalg.norm(force)))
     names = sorted(sizes, key=lambda words: -sizes[words])
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
@@ -108,7 +127,7 @@ def _loops(records: MovedRecords, best: RecordLaw) -> tuple[ForceLoop, ...]:
     for number in np.unique(np.linspace(0, records.count - 1, 3).round().astype(int)):
         k, part = records.part_of[number]
         record = records.records[k]
-        law = sum(c * term.force(record.x, record.v)[0] for term, c in best.terms)
+        law = np.sum([c * record.force(term) for term, c in best.terms], axis=0)
         rows = slice(0, min(record.parts[part].size, _DRAWN))
         at, sigma = record.parts[part][rows], record.sigma[part][rows]
         line = np.arange(at[0], at[-1] + 1, max(1, (at[-1] - at[0]) // _LINE))

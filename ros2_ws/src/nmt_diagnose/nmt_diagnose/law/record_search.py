@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,12 +18,13 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
 from nmt_diagnose.law.law_search import best_moved, between
-from nmt_diagnose.law.moved_record import MovedRecords
+from nmt_diagnose.law.moved_record import POSITION, MovedRecords
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _BLOCKS = 5  # side by side
 _KEPT = 2  # laws that are gone on from
+_BELOW = 0.1  # of a strength that it may be below zero at the end of the range
 _STEP = 1e-3  # of a parameter, for differences
 _REFINED = 6  # families that are refined beside each
 
@@ -51,7 +52,7 @@ class RecordLaw:
     def acts(self) -> bool:
         """Whether every block has a force, contacts their spring."""
         pairs = zip(self.blocks, self.strengths, strict=True)
-        return all(block.terms[0] in dict(acting) if block.contact else acting for block, acting in pairs)
+        return all(block.terms[0] in dict(acting) if block.contact or block.by else acting for block, acting in pairs)
 
     @property
     def terms(self) -> list[tuple[Term, float]]:
@@ -113,6 +114,21 @@ class RecordSearch:
             larger = self.law((*law.blocks, self.refined(block, law.blocks)))
             if larger.acts:
                 result.append(larger)
+        return result + self._following(law)
+
+    def _following(self, law: RecordLaw) -> list[RecordLaw]:
+        """The law with one of its blocks following a measured channel, as far as its strength stays passive."""
+        result = []
+        for k, block in enumerate(law.blocks):
+            for channel in self.records.records[0].channels:
+                low, high = self.records.range_of(channel)
+                if block.by or block.contact or not high > low or (channel == POSITION and block.terms[0].signed):
+                    continue
+                blocks = [*law.blocks[:k], block.following(channel, 0.5 * (low + high)), *law.blocks[k + 1 :]]
+                blocks[k] = self.refined(blocks[k], [*blocks[:k], *blocks[k + 1 :]])
+                following = self.law(blocks)
+                if following.acts and _stays_passive(following, k, 0.5 * (high - low)):
+                    result.append(following)
         return result
 
     def refined(self, block: Block, others: Sequence[Block]) -> Block:
@@ -132,8 +148,8 @@ class RecordSearch:
         found = self.law(blocks)
         return found if found.score <= law.score and found.acts else law
 
-    def stds(self, law: RecordLaw) -> FloatArray:
-        """Standard uncertainties of the strengths of the terms that act, parameters being free, (k,)."""
+    def covariance(self, law: RecordLaw) -> FloatArray:
+        """Covariance of the strengths of the terms that act, parameters being free, (k, k)."""
         columns = self.records.columns(_terms(law.blocks)) @ law.fit.coefficients
         # Rows that are not independent say less, and what is left beyond the stated noise is noise, too.
         scale = max(law.score, 1.0) / math.sqrt(self.records.independent(law.fit.corrected - columns))
@@ -149,8 +165,8 @@ class RecordSearch:
         norms = np.maximum(np.linalg.norm(every, axis=0), 1e-300)
         normal = (every / norms).T @ (every / norms)
         normal[:m, :m] += np.diag(norms[:m] ** -2.0)
-        variance = np.diag(np.linalg.pinv(normal, rcond=1e-12, hermitian=True))[m : m + size]
-        return np.asarray(scale * np.sqrt(np.maximum(variance, 0.0)) / norms[m : m + size])
+        every = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)[m : m + size, m : m + size]
+        return np.asarray(scale**2 * every / np.outer(norms[m : m + size], norms[m : m + size]))
 
     def _force(self, law: RecordLaw, number: int, parameter: int, factor: float) -> FloatArray:
         """Force of one block, whitened, with a parameter times a factor, (P, M)."""
@@ -174,10 +190,22 @@ class RecordSearch:
             law = min(fewer, key=lambda other: (len(other.terms), other.score))
 
 
+def _stays_passive(law: RecordLaw, number: int, half: float) -> bool:
+    """Whether strengths that change by a channel on either side of its middle keep their sign, within their errors."""
+    strengths = dict(law.strengths[number])
+    return all(
+        abs(strengths.get(replace(term, by="", about=0.0), 0.0)) * (1.0 + _BELOW) >= abs(value) * half
+        for term, value in strengths.items()
+        if term.by
+    )
+
+
 def _shorter(block: Block) -> list[tuple[Block, ...]]:
     """A block without one of its terms, and no block."""
     found: list[tuple[Block, ...]] = [()]
     for term in block.terms if len(block.terms) > 1 else ():
+        if not term.by and any(other.by and replace(other, by="", about=0.0) == term for other in block.terms):
+            continue
         found.append((Block(block.name, tuple(other for other in block.terms if other != term), block.refined),))
     return found
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from nmt_core.key_units import unit_of_key
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
+from nmt_core.vocabulary import Quantity
 from nmt_diagnose.law.modal_frame import ORDERS
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
@@ -73,11 +74,15 @@ class Term:
     Attributes:
         kind: of its form, see :class:`nmt_rig.model.element_uses.LawForm`.
         first, second: its numbers.
+        by, about: measured channel by which its coefficient changes, and the value of the channel that counts as none;
+            empty = it does not change.
     """
 
     kind: str
     first: float = 0.0
     second: float = 0.0
+    by: str = ""
+    about: float = 0.0
 
     @property
     def form(self) -> LawForm:
@@ -96,11 +101,13 @@ class Term:
     @property
     def signed(self) -> bool:
         """Polynomials of the displacement may soften; all else is passive by coefficients that are not negative."""
-        return self.form.signed
+        return self.form.signed or bool(self.by)
 
     @property
     def unit(self) -> str:
         """Unit of the coefficient."""
+        if self.by:
+            return f"{replace(self, by='').unit}/{Quantity[self.by.split()[0].upper()].unit}"
         if self.section is None or self.form.unit:
             return self.form.unit.format(exponent=f"{self.first:g}")
         return unit_of_key(self.section.own_keys()[0]).translate(_POWERS)

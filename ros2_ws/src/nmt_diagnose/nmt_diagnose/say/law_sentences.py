@@ -32,13 +32,46 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
         if law.other_families:
             families = " or ".join(law.other_families)
             result.append(f"At {_where(law)} {families} would do nearly as well.")
+    result += [sentence for law in reading.laws for sentence in _following(law)]
     if not written:
         return tuple(result)
     lacking = not_written(reading.laws)
     reach = significant(1e3 * max(law.valid_to_m for law in reading.laws), 3)
     text = f"The rig file gets it as local elements, valid up to {reach} mm"
     result.append(text + (f"; {', '.join(lacking)} has no kind there and is left out." if lacking else "."))
+    channels = dict.fromkeys(name for law in reading.laws for name, *_ in law.valid_between)
+    if channels:
+        names = " and the ".join(channels)
+        result.append(
+            f"No element there follows a channel: its strengths are those at the middle of the {names} that was visited."
+        )
     return tuple(result)
+
+
+def _following(law: LocalLaw) -> list[str]:
+    """Sentences on strengths that follow a measured channel."""
+    result = []
+    for term in law.terms:
+        base = [it for it in law.terms if not it.by and (it.kind, it.parameters) == (term.kind, term.parameters)]
+        if not term.by or not base:
+            continue
+        # A slider's limit is its stiffness times its slip displacement.
+        limit = term.kind in ("slider", "bristle", "weakening bristle")
+        factor = term.parameters[0] if limit else 1.0
+        units = [it.unit.replace("N/m", "N", 1) if limit else it.unit for it in (base[0], term)]
+        what = (
+            "friction limit" if limit or term.kind == "friction" else f"strength of {term.of_unit_strength.form.family}"
+        )
+        sizes = [significant(factor * abs(it.coefficient), 3) for it in (base[0], term)]
+        first = "−" if base[0].coefficient < 0.0 else ""
+        sign, goes = ("+", "grows") if term.coefficient > 0.0 else ("−", "falls")
+        low, high = next((low, high) for name, low, high in law.valid_between if name == term.by)
+        between = f"{significant(low, 3)} and {significant(high, 3)}"
+        result.append(
+            f"At {_where(law)} the {what} {goes} with the {term.by}: {first}{sizes[0]} {units[0]} {sign} {sizes[1]} "
+            f"{units[1]}, read between {between}."
+        )
+    return result
 
 
 def _where(law: LocalLaw) -> str:

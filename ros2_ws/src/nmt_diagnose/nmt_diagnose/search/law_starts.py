@@ -96,16 +96,18 @@ def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, F
 
 def effects_of_law(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
     """Names of effects with parameters by name, the strongest term of the law first."""
-    sliders = [term for term in law.terms if term.kind in ("slider", "slack slider", "bristle", "weakening bristle")]
+    sliders = [
+        term for term in law.at_middle if term.kind in ("slider", "slack slider", "bristle", "weakening bristle")
+    ]
     if sliders:
         stiffness = sum(term.coefficient for term in sliders)
         force = sum(term.coefficient * term.parameters[0] for term in sliders)
         return [("second_friction_contact", _friction(stiffness, force))]
-    if any(term.kind in ("friction", "weakening friction") for term in law.terms):
-        force = sum(term.coefficient for term in law.terms if term.unit == "N")
+    if any(term.kind in ("friction", "weakening friction") for term in law.at_middle):
+        force = sum(term.coefficient for term in law.at_middle if term.unit == "N")
         slip = THRESHOLDS.law.dry_slip_share * law.valid_to_m
         return [("second_friction_contact", _friction(force / slip, force))]
-    largest = sorted(law.terms, key=lambda term: -_size(term, law.valid_to_m))
+    largest = sorted(law.at_middle, key=lambda term: -_size(term, law.valid_to_m))
     return [(name, values) for term in largest for name, values in _of_term(term)]
 
 

@@ -42,6 +42,7 @@ class ImposedMotion(DrivenRecord):
         size: half of what the displacement spans, m.
         force_n: largest measured force, N.
         force: measured force at the recorded samples, N; NaN where it is no observable.
+        followed: further channels, which a force may follow, at the samples of the input, by what they are.
     """
 
     WORDS: ClassVar[str] = "imposed motion, its force predicted"
@@ -52,6 +53,7 @@ class ImposedMotion(DrivenRecord):
     size: float = math.nan
     force_n: float = math.nan
     force: FloatArray = field(default_factory=lambda: np.zeros(0))
+    followed: dict[str, FloatArray] = field(default_factory=dict)
 
     @classmethod
     def read(cls, bag: BagWindows) -> list[Observations]:

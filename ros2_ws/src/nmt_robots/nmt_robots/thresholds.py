@@ -20,6 +20,8 @@ class Thresholds:
             errors of that size.
         needed_gain: share by which an effect that is needed has to shrink what held-out rows leave over.
         unexplained: torque left over, as a share of the torque, from which nothing is claimed of a joint.
+        may_give_way: torque left over, as a share of the torque, from which a link is simulated by itself.
+        gives_way: torque left over by a transmission against that of the rigid bodies, below which it is one.
         moving_rows: share of rows; a joint that moves in fewer is not judged.
         lag_s: a delay below this is within what rows of a log can tell, s.
         clock_factor: a factor of all speeds that is off by more leaves nothing to be claimed of a joint: torques of the
@@ -41,6 +43,8 @@ class Thresholds:
     smallest_floor: float = 0.02
     needed_gain: float = 0.05
     unexplained: float = 0.15
+    may_give_way: float = 0.05
+    gives_way: float = 0.5
     moving_rows: float = 0.1
     lag_s: float = 0.001
     clock_factor: float = 0.04

@@ -121,8 +121,7 @@ def _terms(diagnosis: RobotDiagnosis) -> Markup:
 def _limits(diagnosis: RobotDiagnosis) -> Markup:
     rows = [
         ("armature or inertia of a link that turns alone", "the same column in any log", "weigh the link"),
-        ("backlash, elastic transmission, pre-sliding", "need their own state; not told here",
-         "slow reversals, two amplitudes, a fast chirp"),
+        ("pre-sliding", "needs a state of its own; not told here", "slow reversals, two amplitudes"),
         ("torque constant or all of mass, friction and armature scaled", "only beyond their tolerances",
          "a known hung mass"),
         ("temperature, bands of position, hoses", "leave a residual that nothing fits", "the same motion when warm"),

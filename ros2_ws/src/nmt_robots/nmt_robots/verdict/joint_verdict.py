@@ -143,7 +143,7 @@ def without_claims(verdict: JointVerdict, reason: str) -> JointVerdict:
 
 
 def undisturbed(verdicts: list[JointVerdict]) -> list[JointVerdict]:
-    """The answers with small claims taken back beside a joint that is not understood, whose motion is not known.
+    """The answers with small claims taken back beside a joint that is not understood, whose link's motion is not known.
 
     The mass of a link that several joints carry is claimed at its own joint.
     """
@@ -152,13 +152,15 @@ def undisturbed(verdicts: list[JointVerdict]) -> list[JointVerdict]:
         for item in verdicts
         if item.mechanics is not None
     ]
-    disturbed = max(shares, default=0.0) > _DISTURBING
+    loose = any(term.key in TRANSMISSION and term.differs for item in verdicts for term in item.terms)
+    disturbed = loose or max(shares, default=0.0) > _DISTURBING
     found = []
     for verdict in verdicts:
         terms = []
         for term in verdict.terms:
             elsewhere = term.key == "link_mass" and not term.words.endswith(f"link of {verdict.joint.name}")
-            unclear = disturbed and (term.key not in _FRICTION or term.share < _DISTURBING)
+            small = term.key not in _FRICTION or term.share < _DISTURBING
+            unclear = disturbed and small and term.key not in TRANSMISSION
             terms.append(replace(term, differs=term.differs and not elsewhere and not unclear))
         found.append(replace(verdict, terms=tuple(terms)))
     return found
@@ -199,6 +201,10 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
     return found
 
 
+TRANSMISSION = frozenset({"elastic", "backlash"})
+"""Terms of a link that moves by itself."""
+_OF_FIRST_ORDER = frozenset({"jerk"})
+"""Effects that stand for a state of their own to first order: they are looked into by simulation and not claimed."""
 _WITH_A_MEAN = frozenset({"spring", "gravity_scale", "mass_centre", "link_mass", "ripple", "end_stop"})
 """Effects whose own mean an offset takes."""
 _FRICTION = frozenset({"coulomb", "viscous", "stribeck", "load_friction", "spring", "ripple", "end_stop"})
@@ -251,6 +257,7 @@ def joint_verdict(
             and nearest > THRESHOLDS.certain * tolerance
             and share.impossible == 0.0
             and key in best.causes
+            and key not in _OF_FIRST_ORDER
             and explained
             and not (key == "offset" and _WITH_A_MEAN & set(best.causes))
             and part > best.held_out.interleaved / max(best.held_out.torque, 1e-300) * _ABOVE_WHAT_IS_LEFT

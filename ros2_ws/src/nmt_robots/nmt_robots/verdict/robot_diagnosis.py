@@ -45,6 +45,7 @@ from nmt_robots.verdict.joint_verdict import (
     values_in_model,
     without_claims,
 )
+from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
 Progress = Callable[[str], None]
 
@@ -164,6 +165,9 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
             verdicts.append(joint_verdict(joint, motion, number, results[number], plain[number]))
         else:
             verdicts.append(unjudged(joint, float(np.std(plain_torque[:, number]))))
+    loose = joint_with_transmission(robot, log, motion, drive, as_well, results, joints, found)
+    if loose is not None:
+        verdicts[loose.number] = verdict_with_transmission(joints[loose.number], loose, verdicts[loose.number])
     verdicts = undisturbed(verdicts)
     found += scale_findings(tuple(verdicts))
     reason = no_claims_because(found)

@@ -8,7 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from independent.driven_laboratories import LaboratoryOne, LaboratoryTwo, _beam, rigs_of_two
+from independent.driven_laboratories import (
+    MASS_RIGS,
+    LaboratoryOne,
+    LaboratoryTwo,
+    Masses,
+    _beam,
+    rigs_of_masses,
+    rigs_of_two,
+)
 from independent.laboratory_two import drive_for, linear_response
 from independent.modal_simulator import Simulator, fundamental
 
@@ -81,8 +89,47 @@ def test_what_is_exchanged_goes_on_from_turn_to_turn() -> None:
     assert together[-1] == pytest.approx(np.concatenate([[0.0], drive[:-1]]))
 
 
+def masses(case: str, newton_per_volt: float = 1.0) -> Masses:
+    return Masses(5000.0, [(1, 10.0)], [(p, 10.0) for p in range(1, 5)], case, newton_per_volt, [1.0] * 4, [0.0] * 4, 1)
+
+
+def test_a_row_of_masses_answers_as_its_equations() -> None:
+    """M ẍ + C ẋ + K x = f with the damping of modes, solved as one set of complex equations."""
+    frequency, size = 5000.0 / 180.0, 0.3
+    values, drive, _ = answered(masses("nothing"), size, frequency, 500, 5000.0)
+    stiffness = 2e5 * np.array([[2, -1, 0, 0], [-1, 2, -1, 0], [0, -1, 2, -1], [0, 0, -1, 1]])
+    vectors = np.linalg.eigh(stiffness)[1]
+    roots = 2.0 * np.sqrt(2e5) * np.sin((2 * np.arange(1, 5) - 1) * np.pi / 18.0)
+    damping = vectors @ np.diag(2.0 * np.array([0.006, 0.005, 0.006, 0.008]) * roots) @ vectors.T
+    omega = 2.0 * np.pi * frequency
+    moved = np.linalg.solve(stiffness - omega**2 * np.eye(4) + 1j * omega * damping, np.array([1, 0, 0, 0]))
+    found = np.array([fundamental(row, 8) for row in values]) / drive
+    assert found[1:] / found[0] == pytest.approx(-(omega**2) * moved[[0, 3]], rel=0.02)
+    assert np.angle(found[1:] / found[0] / (-(omega**2) * moved[[0, 3]])) == pytest.approx(0.0, abs=5e-3)
+
+
+def test_a_late_channel_and_a_wrong_gain_are_that_alone() -> None:
+    drive = np.sin(np.arange(401) / 5.0)
+    healthy, late, gain = (masses(case)._answer(drive) for case in ("nothing", "late", "gain"))
+    assert late[2, 2:] == pytest.approx(healthy[2, :-2])
+    assert gain[2] == pytest.approx(1.07 * healthy[2])
+    pieces = masses("late")
+    joined = np.hstack([pieces._answer(drive[k : k + 101]) for k in range(0, 400, 100)])
+    assert joined == pytest.approx(late, rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", [name for name, rig in MASS_RIGS.items() if rig.element[0] and not rig.gains])
+def test_a_local_force_moves_frequency_or_damping(name: str) -> None:
+    """By 1 to 4 % of the frequency, or a fifth of the damping and more: near resonance no one overlooks it."""
+    frequency = 5000.0 / 202.0
+    plain, _, _ = answered(masses("nothing", 2.32), 1.0, frequency, 120, 5000.0)
+    changed, _, _ = answered(masses(name, 2.32), 1.0, frequency, 120, 5000.0)
+    ratio = fundamental(changed[2], 8) / fundamental(plain[2], 8)
+    assert abs(ratio - 1.0) > 0.1
+
+
 def test_the_rig_files_are_rigs(tmp_path: Path) -> None:
-    for name in rigs_of_two(tmp_path, 2):
+    for name in [*rigs_of_two(tmp_path, 2), *rigs_of_masses(tmp_path, 2)]:
         model, real = (load_rig(tmp_path / name / file) for file in ("model.yaml", "real.yaml"))
         assert model.device is None
         assert real.device is not None

@@ -141,7 +141,8 @@ def test_a_tripped_limit_ends_the_run_with_the_drive_at_zero(tmp_path: Path) -> 
     with Bench("beam", [0.2, 1.0], out=tmp_path / "out", window_periods=5, overrides=["limits.force_n=0.5"]) as bench:
         result = bench.run()
     assert result.code == ResultCode.LIMIT
-    assert "limit" in result.message
+    assert "force limit: f" in result.message, "the channel, its value and the limit are the sentence"
+    assert "limit 0.5 N" in result.message
     last = list(Bag.open(tmp_path / "out" / "bag").blocks("voltage"))[-1]
     assert not last.data.any()
 

@@ -84,6 +84,21 @@ def test_growth_of_the_drive_is_predicted_in_proportion() -> None:
     assert not guard().predict(1.9), "a drive that falls predicts nothing"
 
 
+def test_ringing_belongs_to_the_drive_that_there_was() -> None:
+    """A level ends, and the last block of its ramp has a thousandth of its drive: 5 of 2 V are no 5 of 2 mV."""
+
+    def guard(seconds: float) -> LimitGuard:
+        made = LimitGuard({Quantity.ACCELERATION: 10.0})
+        assert not made.check([flat(5.0, 0.0)], 2.0)
+        for block in range(1, 2 + round(seconds * RATE / 10)):
+            assert not made.check([flat(5.0, 0.0, 10 * block)], 2e-3)
+        return made
+
+    assert not guard(0.0).predict(2.0)
+    assert guard(0.0).predict(6.0), "what is more than ever is predicted in proportion"
+    assert guard(10.0).predict(2.0), "no ringing lasts so long: the drive of now does it"
+
+
 def test_no_response_to_the_drive_is_an_open_loop() -> None:
     guard = LimitGuard({}, open_loops=[OpenLoop("a2", least=0.1, drive=0.5, seconds=0.05)])
     for n in range(20):

@@ -60,7 +60,7 @@ from nmt_rig.rig import Rig
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import NODES, NodePlan, plan_nodes
 from nmt_session.planning import TestSettings, plan_test
-from nmt_session.run_result import Progress, RunResult
+from nmt_session.run_result import Progress, RunResult, with_cause
 
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
 _POLL = 0.02
@@ -257,7 +257,8 @@ class Bench:
             code, text = ResultCode.NODE_LOST, obituary
             points = self._recorded_points()
         else:
-            code, text = ResultCode(message.result_code), message.message
+            code = ResultCode(message.result_code)
+            text = with_cause(message.message, self.client.plant_said.get("tripped", ""))
             points = tuple(MODAL_POINT.read(serialize_message(point)) for point in message.points)
             if lost:
                 code, text = ResultCode.NODE_LOST, obituary

@@ -23,6 +23,16 @@ class Progress:
     sample: int
 
 
+def with_cause(message: str, tripped: str) -> str:
+    """The sentence of a run that a limit ended, with what the plant says of it.
+
+    Args:
+        message: such as ``Level 2: a safety limit has tripped.``
+        tripped: channel, value and limit, without a full stop; empty where the plant says nothing.
+    """
+    return message.replace("a safety limit has tripped", tripped) if tripped else message
+
+
 @dataclass(frozen=True)
 class RunResult:
     """How a run ended.

@@ -54,7 +54,7 @@ from nmt_sequencer.run_core import RunCore
 from nmt_sequencer.steering import SteeringRequest
 from nmt_session.node_plan import plan_nodes
 from nmt_session.plan_of_test import TestPlan
-from nmt_session.run_result import Progress, RunResult
+from nmt_session.run_result import Progress, RunResult, with_cause
 
 _PROGRESS_PERIOD = 0.1  # s of wall time
 
@@ -396,7 +396,7 @@ class Session:
             remarks.append(f"Plant: {self._plant.device.tripped}.")
         return RunResult(
             code=machine.code,
-            message=machine.reason,
+            message=with_cause(machine.reason, self._plant.device.tripped),
             points=tuple(points[index] for index in sorted(points)),
             bag=None if self._recorder is None else self._recorder.writer.path,
             bag_state="" if self._recorder is None else self._recorder.writer.state,

@@ -181,13 +181,14 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
         why = "the levels differ from the model by no more than noise and tolerances"
         return LawReading(levels.name, levels.count, (), before, before, math.nan, math.nan, (why,))
     tried = search.singles()[:_FINALISTS]
-    finalists = sorted((search.again(candidate) for candidate in tried), key=lambda candidate: candidate.score)
+    again = (search.again(candidate) for candidate in tried)
+    finalists = sorted((one for one in again if one.elements), key=lambda candidate: candidate.score)
     if not finalists:
         why = "no local force explains them"
         return LawReading(levels.name, levels.count, (), before, before, 0.0, 0.0, (why,))
     best = fewest(finalists)
     best = _with_second(search, best)
-    laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)))
+    laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)) if _acting(best, number))
     above = closed_share(*_above(search, best))
     return LawReading(
         levels.name, levels.count, laws, before, best.score, closed_share(before, best.score), above,
@@ -293,12 +294,16 @@ def _pulled(best: Candidate) -> list[str]:
     ]
 
 
-def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Candidate]) -> LocalLaw:
-    place, block = best.parts[number]
+def _acting(best: Candidate, number: int) -> list[tuple[Term, float, float]]:
+    """Terms of a part that act, with coefficient and standard uncertainty."""
+    terms = best.parts[number][1].terms
     start = sum(len(one.terms) for _, one in best.parts[:number])
-    values = best.fit.coefficients[start : start + len(block.terms)]
-    std = _stds(best)[start : start + len(block.terms)]
-    acting = [(term, float(c), float(s)) for term, c, s in zip(block.terms, values, std, strict=True) if c != 0.0]
+    values, std = (values[start : start + len(terms)] for values in (best.fit.coefficients, _stds(best)))
+    return [(term, float(c), float(s)) for term, c, s in zip(terms, values, std, strict=True) if c != 0.0]
+
+
+def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Candidate]) -> LocalLaw:
+    place, acting = best.parts[number][0], _acting(best, number)
     family_words = family([(term, c) for term, c, _ in acting])
     motion: ComplexArray = best.motions[number]
     x, _ = sampled(motion, search.rows.levels.omega)

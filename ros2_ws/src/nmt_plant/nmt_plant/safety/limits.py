@@ -18,6 +18,8 @@ from nmt_core.numerics.kernels import njit
 
 # A prediction trips when it lies this much beyond the level: between the two, the measurement decides.
 PREDICTION_FACTOR = 1.25
+# s, in which a drive that fell counts less by a factor e, as the ringing of a light structure does.
+_RING_TIME = 1.0
 
 
 @njit(cache=True)
@@ -157,7 +159,7 @@ class LimitGuard:
         self._rows: dict[Quantity, _Rows] = {}
         self._silent: dict[OpenLoop, int] = {}
         self._last: Sequence[SampleBlock] = ()
-        self._drive = 0.0
+        self._drive = self._rang = 0.0
 
     def check(self, blocks: Sequence[SampleBlock], drive: float = 0.0) -> bool:
         """Latch the first violation; True if tripped now or before. NaN and infinity violate every limit.
@@ -182,6 +184,8 @@ class LimitGuard:
             return True
         if blocks:  # of a block with lost samples nothing is known; the one before still tells the proportion
             self._last, self._drive = blocks, drive
+            fade = math.exp(-blocks[0].samples / (blocks[0].sample_rate * _RING_TIME))
+            self._rang = max(drive, fade * self._rang) if drive > 0.0 else 0.0
         return False
 
     def _rows_of(self, block: SampleBlock) -> _Rows:
@@ -248,8 +252,9 @@ class LimitGuard:
         """Latch a violation that the next block would bring; True if tripped now or before.
 
         The peak of a channel is taken to grow in proportion to the drive, beside what it was before the drive came
-        on; beyond `PREDICTION_FACTOR` times its abort level it trips. Without a drive in the last block there is no
-        gain and nothing is predicted.
+        on; beyond `PREDICTION_FACTOR` times its abort level it trips. After a drive that falls the structure rings on:
+        its peaks belong to the drive that it had, which counts less and less over `_RING_TIME`. Without a drive in the
+        last block there is no gain and nothing is predicted.
 
         Args:
             drive: V, largest amplitude of the drive in the next block.
@@ -265,7 +270,7 @@ class LimitGuard:
             if self._drive == 0.0:
                 rows.background[:] = rows.peaks
                 continue
-            gain = np.maximum(rows.peaks - rows.background, 0.0) / self._drive
+            gain = np.maximum(rows.peaks - rows.background, 0.0) / self._rang
             expected = rows.peaks + gain * (drive - self._drive)
             if (expected > PREDICTION_FACTOR * rows.abort_peak).any():
                 row = int(np.argmax(expected / rows.abort_peak))
@@ -291,6 +296,6 @@ class LimitGuard:
         """Forget the violation and what led to it; warnings and margins stay."""
         self.reason = ""
         self._silent.clear()
-        self._last, self._drive = (), 0.0
+        self._last, self._drive, self._rang = (), 0.0, 0.0
         for rows in self._rows.values():
             rows.values[:2] = 0.0

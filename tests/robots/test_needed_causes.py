@@ -19,7 +19,7 @@ from nmt_robots.mechanics.motion import motion_of
 from nmt_robots.mechanics.readings import DriveTorque, Reading
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.thresholds import THRESHOLDS
-from nmt_robots.verdict.joint_verdict import values_in_model
+from nmt_robots.verdict.joint_verdict import by_shared_delay, values_in_model
 from nmt_robots.verdict.robot_diagnosis import diagnose_robot, read_log
 
 IN_MODEL = {"coulomb": 0.5, "viscous": 0.2, "armature": 0.03}
@@ -90,6 +90,39 @@ def test_what_is_needed_has_to_shrink_what_is_left(tmp_path: Path, monkeypatch: 
     for limit, count in ((shrunk - 0.01, 1), (shrunk + 0.01, 0)):
         monkeypatch.setattr(ladder, "THRESHOLDS", replace(THRESHOLDS, needed_gain=limit, smallest_share=1.0))
         assert len(ladder._gains(asked, list(asked.usual), now, [rival], needed=True)) == count
+
+
+def test_a_delay_that_joints_share_widens_damping_and_armature(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **log_columns())
+    log = read_log(tmp_path / "log.npz", robot_file(tmp_path))
+    three = replace(
+        log, joints=("a", "b", "c"), position_gain=np.array([80.0, 60.0, 40.0]), velocity_gain=np.full(3, 2.0)
+    )
+    mechanics = ladder.explain(problem(tmp_path), IN_MODEL)
+
+    def delayed(*excess: float) -> dict[int, dict[str, float]]:
+        viscous = mechanics.share("viscous")
+        assert viscous is not None
+        believed = [{**IN_MODEL, "viscous": viscous.size - value} for value in excess]
+        return by_shared_delay(three, believed, dict.fromkeys(range(len(excess)), mechanics))
+
+    shared = delayed(0.40, 0.31, 0.20)
+    assert shared[0]["viscous"] == pytest.approx(80.0 * 0.005)
+    assert shared[2]["armature"] == pytest.approx(2.0 * 0.005)
+    # One joint whose damping is off by itself is no delay of all.
+    assert delayed(0.8, 0.0, 0.0)[0]["viscous"] == 0.0
+    assert delayed(0.4) == {}
+    assert by_shared_delay(replace(three, torque=three.position), [IN_MODEL] * 2, {0: mechanics, 1: mechanics}) == {}
+
+
+def test_a_speed_of_one_joint_with_a_factor_may_be_the_clock(tmp_path: Path) -> None:
+    columns = log_columns()
+    columns["vel"] = 1.08 * columns["vel"]
+    np.savez(tmp_path / "log.npz", **columns)
+    diagnosis = diagnose_robot(robot_file(tmp_path, armature=0.06), tmp_path / "log.npz")
+    (finding,) = [finding for finding in diagnosis.findings if finding.key == "velocity_factor"]
+    assert finding.instead == ("clock_factor",)
+    assert not diagnosis.joints[0].differs
 
 
 def test_the_model_keeps_its_values_apart(tmp_path: Path) -> None:

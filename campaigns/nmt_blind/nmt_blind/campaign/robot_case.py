@@ -138,11 +138,11 @@ def claims_of(diagnosis: Mapping[str, Any]) -> Claims:
             if term["differs"]:
                 terms.append((str(joint["joint"]), str(term["key"])))
             values[str(joint["joint"]), str(term["key"])] = (float(term["value"]), float(term["std"]))
-    faults = [item for item in diagnosis["log_findings"] if item["fault"]]
+    faults = [item for item in diagnosis["log_findings"] if item["fault"] and not item["instead"]]
     classes = [
         (str(joint), frozenset(map(str, (item["key"], *item["instead"]))))
         for item in diagnosis["log_findings"]
-        if item["instead"] and not item["fault"]
+        if item["instead"]
         for joint in item["joints"]
     ]
     return Claims(
@@ -169,7 +169,7 @@ def judge_robot(case: RobotCase, claims: Claims) -> RobotAnswer:
     false_classes = [
         f"{' or '.join(sorted(keys))}@{joint}"
         for joint, keys in claims.classes
-        if not any(cause.joint == joint and keys & {*cause.named} for cause in case.causes)
+        if not any(cause.joint in ("", joint) and keys & {*cause.named} for cause in case.causes)
     ]
     deviation = _deviation(case, claims)
     words = ", ".join([*(f"{key}@{joint}" for joint, key in false_terms), *false_findings, *false_classes])
@@ -192,7 +192,7 @@ def judge_robot(case: RobotCase, claims: Claims) -> RobotAnswer:
 
 def _named(cause: Planted, claims: Claims) -> int:
     """2: named; 1: a part of it, in a class, or behind another term of its joint; 0: not."""
-    in_class = any(joint == cause.joint and keys & {*cause.named} for joint, keys in claims.classes)
+    in_class = any(cause.joint in ("", joint) and keys & {*cause.named} for joint, keys in claims.classes)
     if cause.of == "log":
         hits = [joints for joints, key in claims.findings if key in cause.named]
         at_joint = [not joints or not cause.joint or cause.joint in joints for joints in hits]

@@ -104,3 +104,5 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
             joint.joint.name, joint.difference, f"{100 * joint.closed:.0f} %", f"{joint.left:.3f}", joint.remains
         )
     console.print(table)
+    for request in diagnosis.next.requests:
+        console.print(Text(f"Move next (trajectory.csv): {request.sentence}"), soft_wrap=True)

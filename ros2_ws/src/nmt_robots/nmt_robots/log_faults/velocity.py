@@ -80,12 +80,15 @@ def _factors(names: list[str], factors: Array, taken: float) -> list[Finding]:
     for name, (factor, std) in zip(names, factors, strict=True):
         off = factor / middle - 1.0
         if abs(off) > limit and abs(off) > THRESHOLDS.certain * std:
+            words = _factor_of(factor)
+            clock = len(names) == 1 and words == _NEAR_ONE
+            if clock:
+                words += ", or the clock runs at another rate than stated: a second joint tells the two apart"
             found.append(
                 Finding(
                     "velocity_factor",
-                    f"{name}: its speed is {factor:.3f} ± {std:.3f} of the derivative of its position: "
-                    f"{_factor_of(factor)}.",
-                    float(factor), float(std), "1", joints=(name,),
+                    f"{name}: its speed is {factor:.3f} ± {std:.3f} of the derivative of its position: {words}.",
+                    float(factor), float(std), "1", joints=(name,), instead=("clock_factor",) if clock else (),
                 )
             )  # fmt: skip
     return found
@@ -99,7 +102,10 @@ def _factor_of(factor: float) -> str:
         return "one of the two is in degrees"
     if factor > 3.0 or factor < 1.0 / 3.0:
         return "one of the two is on the other side of the gear, or in another unit"
-    return "a wrong factor or a transmission that is not at constant ratio"
+    return _NEAR_ONE
+
+
+_NEAR_ONE = "a wrong factor or a transmission that is not at constant ratio"
 
 
 def _lag(names: list[str], lags: Array, step_s: float) -> list[Finding]:

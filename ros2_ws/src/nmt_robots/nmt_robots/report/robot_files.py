@@ -1,4 +1,4 @@
-"""``diagnosis.json``, ``joints.csv``, ``report.html``, ``robot.xml`` and ``changes.csv`` of a robot."""
+"""``diagnosis.json``, ``joints.csv``, ``report.html``, ``robot.xml``, ``changes.csv`` and ``trajectory`` of a robot."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from nmt_core.bench_version import bench_version
 from nmt_core.files.plain_json import plain_json
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_robots.report.robot_page import robot_page
+from nmt_robots.report.trajectory_files import joint_trajectory, trajectory_csv
 from nmt_robots.report.written_back import changes, robot_text
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
@@ -36,6 +37,8 @@ def write_robot_diagnosis(diagnosis: RobotDiagnosis, folder: Path) -> None:
         for item in changed
     ]  # fmt: skip
     write_result(folder / "changes.csv", csv_text([heads, *rows]))
+    write_result(folder / "trajectory.csv", trajectory_csv(diagnosis.next))
+    write_result(folder / "trajectory.yaml", joint_trajectory(diagnosis.next))
     write_result(folder / "report.html", robot_page(diagnosis))
 
 

@@ -37,6 +37,7 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
             ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
             ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
             ("terms", "Terms of each joint", _terms(diagnosis)),
+            ("next", "What to move next", _next(diagnosis)),
             ("limits", "What this log cannot tell", _limits(diagnosis)),
         ],
         footer="Torque left: rms on seconds that no fit has seen. ± is a standard uncertainty; it spans all readings "
@@ -116,6 +117,15 @@ def _terms(diagnosis: RobotDiagnosis) -> Markup:
     head = [("joint", ""), ("term", ""), ("value", ""), ("in the model", ""), ("difference, of the torque", ""),
             ("same column as", "")]  # fmt: skip
     return html_table(head, rows)
+
+
+def _next(diagnosis: RobotDiagnosis) -> Markup:
+    rows = [(str(number + 1), request.sentence) for number, request in enumerate(diagnosis.next.requests)]
+    note = (
+        "trajectory.csv and trajectory.yaml (trajectory_msgs/JointTrajectory) hold it, inside the ranges of the joints "
+        "and no faster than this log. They know nothing of what stands around the robot: look first."
+    )
+    return html_table([("part", ""), ("motion and what it parts", "")], rows, note)
 
 
 def _limits(diagnosis: RobotDiagnosis) -> Markup:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from nmt_core.text.number_words import percent, value_text
-from nmt_robots.log.joint_log import Array
+from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.ladder import JointMechanics, Share
 from nmt_robots.mechanics.motion import Motion
@@ -205,6 +206,8 @@ TRANSMISSION = frozenset({"elastic", "backlash"})
 """Terms of a link that moves by itself."""
 _OF_FIRST_ORDER = frozenset({"jerk"})
 """Effects that stand for a state of their own to first order: they are looked into by simulation and not claimed."""
+_OF_INERTIA = frozenset({"armature", "inertia_scale"})
+"""Effects that a state of its own, which is not understood, changes most."""
 _WITH_A_MEAN = frozenset({"spring", "gravity_scale", "mass_centre", "link_mass", "ripple", "end_stop"})
 """Effects whose own mean an offset takes."""
 _FRICTION = frozenset({"coulomb", "viscous", "stribeck", "load_friction", "spring", "ripple", "end_stop"})
@@ -222,8 +225,9 @@ _TOLERANCES = {
 
 
 def joint_verdict(
-    joint: Joint, motion: Motion, number: int, results: list[JointMechanics], plain: tuple[float, float]
-) -> JointVerdict:
+    joint: Joint, motion: Motion, number: int, results: list[JointMechanics], plain: tuple[float, float],
+    timing: Mapping[str, float] | None = None,
+) -> JointVerdict:  # fmt: skip
     """The answer from the mechanics under all readings that fit.
 
     Args:
@@ -232,6 +236,7 @@ def joint_verdict(
         number: column of the joint.
         results: under each reading, that taken first.
         plain: torque and what the plain fit leaves of the log at its word, N·m.
+        timing: what a delay that the joints share makes of a term, by key.
     """
     best = results[0]
     in_model = values_in_model(joint)
@@ -240,7 +245,8 @@ def joint_verdict(
     for share in best.shares:
         key = share.effect.key
         sizes = [share.size, *(_size_in(result, share) for result in results[1:])]
-        std = float(np.hypot(share.size_std, max(abs(size - share.size) for size in sizes)))
+        single = float(np.hypot(share.size_std, (timing or {}).get(key, 0.0)))
+        std = float(np.hypot(single, max(abs(size - share.size) for size in sizes)))
         if key == "load_friction":
             # Of the torque or of the load: the same to first order.
             std = float(np.hypot(std, share.size**2))
@@ -253,11 +259,12 @@ def joint_verdict(
         tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
         differs = (
             part > THRESHOLDS.smallest_share
-            and nearest > THRESHOLDS.certain * share.size_std
+            and nearest > THRESHOLDS.certain * single
             and nearest > THRESHOLDS.certain * tolerance
             and share.impossible == 0.0
             and key in best.causes
             and key not in _OF_FIRST_ORDER
+            and not (key in _OF_INERTIA and _OF_FIRST_ORDER & set(best.causes))
             and explained
             and not (key == "offset" and _WITH_A_MEAN & set(best.causes))
             and part > best.held_out.interleaved / max(best.held_out.torque, 1e-300) * _ABOVE_WHAT_IS_LEFT
@@ -276,6 +283,31 @@ def joint_verdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
         after.interleaved, best.plain.last, after.last, _remains(best),
     )  # fmt: skip
+
+
+def by_shared_delay(
+    log: JointLog, believed: list[dict[str, float]], found: Mapping[int, JointMechanics]
+) -> dict[int, dict[str, float]]:
+    """What a delay of the loop that all joints share makes of damping and armature, by joint and key.
+
+    Such a delay δ adds −kp δ to each damping and −kd δ to each armature where the torque is computed. The joints agree
+    on it up to half of them, so that one joint whose damping really differs makes none.
+    """
+    if not log.is_arithmetic or log.position_gain is None or len(found) < 2:
+        return {}
+    delays = []
+    for number, mechanics in found.items():
+        viscous = mechanics.share("viscous")
+        if viscous is not None and log.position_gain[number] > 0.0:
+            delays.append((viscous.size - believed[number]["viscous"]) / float(log.position_gain[number]))
+    if not delays:
+        return {}
+    delay = sorted(map(abs, delays))[(len(delays) - 1) // 2]
+    damped = np.zeros(len(log.joints)) if log.velocity_gain is None else log.velocity_gain
+    return {
+        number: {"viscous": delay * float(log.position_gain[number]), "armature": delay * float(damped[number])}
+        for number in found
+    }
 
 
 def values_in_model(joint: Joint) -> dict[str, float]:

@@ -38,6 +38,7 @@ from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.joint_verdict import (
     JointVerdict,
+    by_shared_delay,
     joint_verdict,
     scale_findings,
     undisturbed,
@@ -45,6 +46,7 @@ from nmt_robots.verdict.joint_verdict import (
     values_in_model,
     without_claims,
 )
+from nmt_robots.verdict.next_motion import NextMotion, next_motion
 from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
 Progress = Callable[[str], None]
@@ -62,6 +64,7 @@ class RobotDiagnosis:
         reading: how the log is read in all that follows.
         as_well: readings that fit as well, the chosen one included.
         joints: a verdict for each column of the log.
+        next: what to move next.
     """
 
     model: RobotModel
@@ -71,6 +74,7 @@ class RobotDiagnosis:
     reading: Reading
     as_well: tuple[Reading, ...]
     joints: tuple[JointVerdict, ...]
+    next: NextMotion
 
     def left_over(self, which: str) -> float:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
@@ -115,6 +119,7 @@ class RobotDiagnosis:
             "readings_that_fit_as_well": [reading.text() for reading in self.as_well],
             "torque_rms": {name: self.left_over(name) for name in ("torque", "as_logged", "plain", "left")},
             "joints": [joint.to_mapping() for joint in self.joints],
+            "next_motion": [request.to_mapping() for request in self.next.requests],
             "notes": list(self.log.notes),
         }
 
@@ -160,9 +165,11 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     if as_well[0] == scores.best:
         found += reading_findings(scores, held_time(log))
     verdicts = []
+    delayed = by_shared_delay(log, believed, {number: items[0] for number, items in results.items()})
     for number, joint in enumerate(joints):
         if number in results:
-            verdicts.append(joint_verdict(joint, motion, number, results[number], plain[number]))
+            timing = delayed.get(number, {})
+            verdicts.append(joint_verdict(joint, motion, number, results[number], plain[number], timing))
         else:
             verdicts.append(unjudged(joint, float(np.std(plain_torque[:, number]))))
     loose = joint_with_transmission(robot, log, motion, drive, as_well, results, joints, found)
@@ -174,7 +181,9 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     if reason:
         verdicts = [without_claims(item, f"{reason}: nothing is claimed") for item in verdicts]
     ordered = sorted(found, key=lambda item: not item.fault)
-    return RobotDiagnosis(robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts))
+    classes = [name for finding in found if finding.instead for name in finding.joints]
+    following = next_motion(motion, joints, verdicts, as_well, classes)
+    return RobotDiagnosis(robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts), following)
 
 
 def no_claims_because(found: Sequence[Finding]) -> str:
@@ -183,7 +192,8 @@ def no_claims_because(found: Sequence[Finding]) -> str:
         if finding.fault and finding.key in {"order", "joint_sign", "gravity_sign"}:
             return "columns are in another order or have another sign"
         # All speeds and accelerations have the clock's factor, and the torque of the bodies its square.
-        if finding.fault and finding.key == "clock_factor" and abs(finding.size - 1.0) > THRESHOLDS.clock_factor:
+        clock = "clock_factor" in (finding.key, *finding.instead)
+        if finding.fault and clock and abs(finding.size - 1.0) > THRESHOLDS.clock_factor:
             return "the clock or all speeds are wrong by a factor"
     return ""
 

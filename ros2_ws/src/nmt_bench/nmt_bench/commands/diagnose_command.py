@@ -39,7 +39,7 @@ class DiagnoseOptions:
         (),
         "results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: "
         "different "
-        "tests tell more effects apart; of a robot: a log of its joints, or that log's sidecar",
+        "tests tell more effects apart; of a robot: a log of its joints, or that log's sidecar; further logs test it",
         metavar="BAG",
     )
     group: Path | None = option(

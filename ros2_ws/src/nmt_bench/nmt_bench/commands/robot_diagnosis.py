@@ -28,7 +28,7 @@ def is_robot(model: str) -> bool:
 
 
 def diagnose_robot_log(options: DiagnoseOptions) -> int:
-    """Diagnose a robot by a log of its joints, write the results, print the verdict.
+    """Diagnose a robot by a log of its joints, test it on further ones, write the results, print the verdict.
 
     Raises:
         BenchError: an option, the model or the log is refused.
@@ -36,18 +36,16 @@ def diagnose_robot_log(options: DiagnoseOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.diagnose_command import DiagnosisProgress
     from nmt_robots.report.robot_files import write_robot_diagnosis
-    from nmt_robots.verdict.robot_diagnosis import diagnose_robot
+    from nmt_robots.verdict.robot_diagnosis import diagnose_robot_by_logs
 
     unused = [name for name in _ONLY_RIGS if getattr(options, name)]
     if unused:
         raise BenchError(f"--{unused[0].replace('_', '-')} belongs to rigs and says nothing of a robot; leave it out.")
-    if len(options.real) != 1:
-        raise BenchError("A robot is diagnosed by one log at a time; give --real once.")
     check_output(options.out, options.force)
     console = make_console()
     started = time.monotonic()
     with DiagnosisProgress(console, options.quiet) as progress:
-        diagnosis = diagnose_robot(Path(options.model), options.real[0], progress.update)
+        diagnosis = diagnose_robot_by_logs(Path(options.model), options.real, progress.update)
         progress.update("writing the report")
         with OutputFolder(options.out, options.force) as folder:
             write_robot_diagnosis(diagnosis, folder)
@@ -104,5 +102,7 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
             joint.joint.name, joint.difference, f"{100 * joint.closed:.0f} %", f"{joint.left:.3f}", joint.remains
         )
     console.print(table)
+    for other in diagnosis.others:
+        console.print(Text(f"Held out: {other.sentence}"), soft_wrap=True)
     for request in diagnosis.next.requests:
         console.print(Text(f"Move next (trajectory.csv): {request.sentence}"), soft_wrap=True)

@@ -198,6 +198,7 @@ def log_of(sidecar: RobotSidecar, columns: dict[str, Array], source: str) -> Joi
         torque=None if sidecar.torque is None else _torque(sidecar.torque, reader),
         position_gain=None if sidecar.gains is None else reader.gains(sidecar.gains.kp),
         velocity_gain=None if sidecar.gains is None else reader.gains(sidecar.gains.kd),
+        position_unit=sidecar.position.unit,
     )
     return _checked(log)
 

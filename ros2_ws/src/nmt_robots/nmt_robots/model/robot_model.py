@@ -173,6 +173,31 @@ class RobotModel:
             before.append(data.xanchor[held] if moving else data.xpos[body])
         return anchors, np.array(before)
 
+    def touching(self, names: tuple[str, ...], q: Array) -> tuple[float, tuple[str, str]]:
+        """Share of poses (rows × J) in which the model's shapes touch, and the two bodies that do so most often.
+
+        Meshes are not among the shapes. Joints that are not named and a base that floats are where the file has them.
+        """
+        mujoco, model, data = self._mujoco, self._model, self._data
+        columns = np.array([self.names.index(name) for name in names]) + self._first_position
+        flag = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        model.opt.disableflags &= ~flag
+        mujoco.mj_resetData(model, data)
+        pairs: list[tuple[str, str]] = []
+        poses = 0
+        for row in q:
+            data.qpos[columns] = row
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            mujoco.mj_collision(model, data)
+            poses += int(data.ncon > 0)
+            for contact in range(data.ncon):
+                bodies = (int(model.geom_bodyid[geom]) for geom in data.contact[contact].geom)
+                first, second = (mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) for body in bodies)
+                pairs.append((first or "a body without a name", second or "a body without a name"))
+        model.opt.disableflags |= flag
+        return poses / max(len(q), 1), max(set(pairs), key=pairs.count) if pairs else ("", "")
+
     def _joint(self, number: int) -> Joint:
         """What the file says of a joint."""
         mujoco, model = self._mujoco, self._model
@@ -217,7 +242,11 @@ class RobotModel:
                 "do not tell; take the constraints out of the file or log the joints of an open chain."
             )
         if not self.joints:
-            raise BenchError(f"{self.path} has no joint that moves.")
+            alone = "a free body alone" if self.floating else "no joint that moves"
+            raise BenchError(
+                f"{self.path} has {alone}; a robot needs hinges or slides whose positions are in the log. A body on "
+                "springs is a rig."
+            )
 
 
 def _mujoco() -> Any:

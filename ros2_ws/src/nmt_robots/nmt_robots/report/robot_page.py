@@ -36,6 +36,7 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
             ("log", "The log", _log(diagnosis)),
             ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
             ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
+            *([("others", "Other logs", _others(diagnosis))] if diagnosis.others else []),
             ("terms", "Terms of each joint", _terms(diagnosis)),
             ("next", "What to move next", _next(diagnosis)),
             ("limits", "What this log cannot tell", _limits(diagnosis)),
@@ -95,6 +96,25 @@ def _held_out(diagnosis: RobotDiagnosis) -> Markup:
         ("plain fit", "N·m"), ("all terms", "N·m"), ("plain fit, last part", "N·m"), ("all terms, last part", "N·m"),
     ]  # fmt: skip
     return html_table(head, rows, "Last part: fitted to the first 70 % of the rows, judged by the others.")
+
+
+def _others(diagnosis: RobotDiagnosis) -> Markup:
+    """Values by further logs, and torque that the first log's values leave of theirs."""
+    parts = Markup()
+    for item in diagnosis.others:
+        rows = [
+            (term.joint, term.words, value_text(*term.first, term.unit),
+             value_text(*term.other, term.unit) if is_known(term.other[0]) else "not found",
+             "agrees" if term.agrees else "differs")
+            for term in item.terms
+        ]  # fmt: skip
+        head = [("joint", ""), ("term", ""), ("first log", ""), ("this log", ""), ("within 2 ±", "")]
+        left = [(name, *(significant(value, 3) for value in values)) for name, values in item.left.items()]
+        figures = [("joint", ""), ("torque", "N·m"), ("model as given", "N·m"), ("first log's values", "N·m")]
+        parts += html_table(figures, left, item.sentence)
+        if rows:
+            parts += html_table(head, rows)
+    return parts
 
 
 def _figures(joint: JointVerdict) -> tuple[float, ...]:

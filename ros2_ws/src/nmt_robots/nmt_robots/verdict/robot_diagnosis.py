@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,9 +47,12 @@ from nmt_robots.verdict.joint_verdict import (
     without_claims,
 )
 from nmt_robots.verdict.next_motion import NextMotion, next_motion
+from nmt_robots.verdict.other_logs import OtherLog, other_log
 from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
 Progress = Callable[[str], None]
+_POSES = 200
+"""Of a log, in which contacts are looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +68,7 @@ class RobotDiagnosis:
         as_well: readings that fit as well, the chosen one included.
         joints: a verdict for each column of the log.
         next: what to move next.
+        others: further logs that test the answer.
     """
 
     model: RobotModel
@@ -75,6 +79,7 @@ class RobotDiagnosis:
     as_well: tuple[Reading, ...]
     joints: tuple[JointVerdict, ...]
     next: NextMotion
+    others: tuple[OtherLog, ...] = ()
 
     def left_over(self, which: str) -> float:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
@@ -120,6 +125,7 @@ class RobotDiagnosis:
             "torque_rms": {name: self.left_over(name) for name in ("torque", "as_logged", "plain", "left")},
             "joints": [joint.to_mapping() for joint in self.joints],
             "next_motion": [request.to_mapping() for request in self.next.requests],
+            "other_logs": [item.to_mapping() for item in self.others],
             "notes": list(self.log.notes),
         }
 
@@ -139,8 +145,10 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     robot = RobotModel(model)
     log = read_log(real, model)
     joints = robot.chosen(log.joints)
+    check_units(log, joints)
     progress("torque of the rigid bodies")
     log, motion, found = mended(robot, log, joints)
+    found += contact_findings(robot, log)
     drive = DriveTorque(log)
     progress("looking at the log")
     plain_torque = drive.torque(Reading())
@@ -186,6 +194,53 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     return RobotDiagnosis(robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts), following)
 
 
+def diagnose_robot_by_logs(model: Path, real: Sequence[Path], progress: Progress = lambda _: None) -> RobotDiagnosis:
+    """Diagnose a robot by its first log and test the answer on the others, of which nothing is fitted.
+
+    Args:
+        model: MJCF or URDF file.
+        real: logs or their sidecars.
+        progress: is told what is being done.
+
+    Raises:
+        BenchError: as :func:`diagnose_robot`.
+    """
+    first = diagnose_robot(model, real[0], progress)
+    others = []
+    for path in real[1:]:
+        progress(f"testing on {path.name}")
+        others.append(other_log(first, diagnose_robot(model, path)))
+    return replace(first, others=tuple(others))
+
+
+def check_units(log: JointLog, joints: tuple[Joint, ...]) -> None:
+    """Raise where no joint can have the unit of the positions.
+
+    Raises:
+        BenchError: lengths of joints that all turn, or angles in degrees of joints that all slide.
+    """
+    turning = [joint.turns for joint in joints]
+    if log.position_unit in ("m", "mm") and all(turning):
+        raise BenchError(f"{log.source}: positions in {log.position_unit}, but all joints turn: give rad or deg.")
+    if log.position_unit == "deg" and not any(turning):
+        raise BenchError(f"{log.source}: positions in deg, but all joints slide: give m or mm.")
+
+
+def contact_findings(robot: RobotModel, log: JointLog) -> list[Finding]:
+    """Whether shapes of the model touch in poses of the log: what a contact does is not in the rigid bodies' torque."""
+    if robot.floating:
+        return []
+    poses = log.position[:: max(1, log.rows // _POSES)]
+    share, (first, second) = robot.touching(log.joints, poses)
+    if share == 0.0:
+        return []
+    sentence = (
+        f"In {100 * share:.0f} % of the poses {first} and {second} touch in the model. Contacts are left out: if they "
+        "touch really, log a motion in free air, for what a contact does would be taken for the joints'."
+    )
+    return [Finding("contact", sentence, share, float("nan"), "1", fault=False)]
+
+
 def no_claims_because(found: Sequence[Finding]) -> str:
     """Why no joint's cause can be claimed beside what was found on the log; empty where that is not so."""
     for finding in found:
@@ -208,7 +263,11 @@ def mended(robot: RobotModel, log: JointLog, joints: tuple[Joint, ...]) -> tuple
     log, in_degrees = in_radians(log, joints)
     motion = motion_of(robot, log)
     if not np.any(motion.moves):
-        raise BenchError(f"{log.source}: no joint moves in {100 * THRESHOLDS.moving_rows:.0f} % of the rows.")
+        raise BenchError(
+            f"{log.source}: no joint moves in {100 * THRESHOLDS.moving_rows:.0f} % of the rows faster than "
+            f"{THRESHOLDS.sticking_rad_s:g} rad/s: a joint that sticks or stands still says nothing of its friction "
+            "and inertia. Command more than its breakaway torque, over its range; check the unit of the positions, too."
+        )
     rows = row_findings(log, motion)
     keys = {finding.key for finding in rows}
     changed = log
@@ -281,6 +340,7 @@ def with_base(
         f"{100 * abs(apart):.0f} % better if it {words}"
     )
     sentence += ", which is too little to tell." if alike else "."
+    sentence += " An IMU on the base would tell, or the base clamped; no foot may touch the ground."
     finding = Finding(
         "base", sentence, -abs(apart), float("nan"), "1", abs(apart) if better else 0.0, fault=better and not alike
     )

@@ -1,0 +1,140 @@
+"""Further logs of a robot as tests that are held out: the same values, and torque that the first log's terms leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nmt_robots.log.joint_log import Array
+from nmt_robots.mechanics.ladder import JointProblem
+from nmt_robots.mechanics.readings import DriveTorque
+from nmt_robots.verdict.joint_verdict import JointVerdict, values_in_model
+
+if TYPE_CHECKING:
+    from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
+
+_WITHIN = 2.0
+"""Combined standard uncertainties within which two logs say the same."""
+
+
+@dataclass(frozen=True)
+class ComparedTerm:
+    """A term of a joint by two logs, each with its standard uncertainty.
+
+    Attributes:
+        joint, words, unit: of the term.
+        first: by the first log; value and ±.
+        other: by the other one; both NaN where that has no such term.
+    """
+
+    joint: str
+    words: str
+    unit: str
+    first: tuple[float, float]
+    other: tuple[float, float]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both say the same within two combined ±."""
+        apart = abs(self.first[0] - self.other[0])
+        return bool(apart <= _WITHIN * float(np.hypot(self.first[1], self.other[1])))
+
+
+@dataclass(frozen=True)
+class OtherLog:
+    """A further log, which nothing of the first answer was fitted to.
+
+    Attributes:
+        source: file.
+        terms: that differ from the model by one of the logs.
+        left: by joint: rms of the torque, of what the model as it is, and of what the first log's terms leave of it,
+            each about its mean, N·m.
+    """
+
+    source: str
+    terms: tuple[ComparedTerm, ...]
+    left: dict[str, tuple[float, float, float]]
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        agreeing = sum(term.agrees for term in self.terms)
+        words = f"{agreeing} of {len(self.terms)} differing values agree within 2 ±" if self.terms else (
+            "no log finds a value that differs"
+        )  # fmt: skip
+        if not self.left:
+            return f"{self.source}: {words}; no joint moves in both."
+        model, terms = (float(np.sqrt(np.mean([row[place] ** 2 for row in self.left.values()]))) for place in (1, 2))
+        return (
+            f"{self.source}: {words}; of its torque the model leaves {model:.3g} N·m, with the first log's values "
+            f"{terms:.3g} N·m (rms over the joints)."
+        )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As ``diagnosis.json`` has it."""
+        return {
+            "log": self.source,
+            "terms": [
+                {"joint": term.joint, "words": term.words, "unit": term.unit, "first": list(term.first),
+                 "other": list(term.other), "agrees": term.agrees}
+                for term in self.terms
+            ],
+            "left": {joint: list(values) for joint, values in self.left.items()},
+        }  # fmt: skip
+
+
+def other_log(first: RobotDiagnosis, other: RobotDiagnosis) -> OtherLog:
+    """What a further log says of the answer of the first one; joints are matched by name."""
+    by_name = {verdict.joint.name: verdict for verdict in other.joints}
+    terms: list[ComparedTerm] = []
+    left: dict[str, tuple[float, float, float]] = {}
+    drive = DriveTorque(other.log)
+    torque = drive.torque(other.reading)
+    error = drive.error(other.reading) if drive.arithmetic else None
+    for verdict in first.joints:
+        name = verdict.joint.name
+        match = by_name.get(name)
+        if match is None or verdict.mechanics is None or match.mechanics is None:
+            continue
+        terms += _compared(verdict, match)
+        number = other.log.joints.index(name)
+        column = None if error is None else error[:, number]
+        problem = JointProblem(other.motion, number, torque[:, number], column, other.log.joints)
+        left[name] = _left(problem, verdict)
+    return OtherLog(other.log.source, tuple(terms), left)
+
+
+def _compared(verdict: JointVerdict, match: JointVerdict) -> list[ComparedTerm]:
+    """Terms that differ from the model by one of two answers for a joint."""
+    found = {}
+    for here, there, turned in ((verdict, match, False), (match, verdict, True)):
+        others = {term.key: term for term in there.terms}
+        for term in here.terms:
+            if not term.differs or term.key in found:
+                continue
+            twin = others.get(term.key)
+            values = (term.value, term.std), ((twin.value, twin.std) if twin else (float("nan"), float("nan")))
+            first, second = reversed(values) if turned else values
+            found[term.key] = ComparedTerm(verdict.joint.name, term.words, term.unit, first, second)
+    return list(found.values())
+
+
+def _left(problem: JointProblem, verdict: JointVerdict) -> tuple[float, float, float]:
+    """Torque of a joint, and what the model and another log's terms leave of it, rms about the mean, N·m."""
+    assert verdict.mechanics is not None
+    in_model = values_in_model(verdict.joint)
+    model, terms = problem.left.copy(), problem.left.copy()
+    for effect in problem.usual:
+        model -= problem.columns([effect])[:, 0] * in_model.get(effect.key, 0.0)
+    effects = {(effect.key, effect.shape): effect for effect in [*problem.usual, *problem.rivals]}
+    for share in verdict.mechanics.shares:
+        twin = effects.get((share.effect.key, share.effect.shape))
+        if twin is not None:
+            terms -= problem.columns([twin]) @ share.values
+    return _spread(problem.torque), _spread(model), _spread(terms)
+
+
+def _spread(values: Array) -> float:
+    return float(np.std(values))

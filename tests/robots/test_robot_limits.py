@@ -1,0 +1,89 @@
+"""Limits of a robot's diagnosis: each decision changes where its limit moves past what was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robots.simulated_joint import log_columns, robot_file
+
+pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
+
+from nmt_robots.log_faults import velocity
+from nmt_robots.mechanics import shared_reading
+from nmt_robots.mechanics.ladder import JointMechanics
+from nmt_robots.mechanics.readings import Reading
+from nmt_robots.mechanics.shared_reading import ReadingScores
+from nmt_robots.thresholds import THRESHOLDS
+from nmt_robots.verdict import joint_verdict
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
+
+
+@pytest.fixture(scope="module")
+def rubbing(tmp_path_factory: pytest.TempPathFactory) -> RobotDiagnosis:
+    """A pendulum with 0.9 N·m of Coulomb friction where its model has 0.5."""
+    folder = tmp_path_factory.mktemp("rubbing")
+    np.savez(folder / "log.npz", **log_columns(coulomb=0.9))
+    return diagnose_robot(robot_file(folder), folder / "log.npz")
+
+
+def verdict_with(diagnosis: RobotDiagnosis, monkeypatch: pytest.MonkeyPatch, **limits: float) -> bool:
+    """Whether the joint differs under other limits."""
+    monkeypatch.setattr(joint_verdict, "THRESHOLDS", replace(THRESHOLDS, **limits))
+    joint = diagnosis.joints[0]
+    assert isinstance(joint.mechanics, JointMechanics)
+    plain = (joint.torque, joint.as_logged)
+    return joint_verdict.joint_verdict(joint.joint, diagnosis.motion, 0, [joint.mechanics], plain).differs
+
+
+def _share(diagnosis: RobotDiagnosis) -> float:
+    return diagnosis.joints[0].terms[0].share
+
+
+def _certainty(diagnosis: RobotDiagnosis) -> float:
+    assert diagnosis.joints[0].mechanics is not None
+    (share,) = [item for item in diagnosis.joints[0].mechanics.shares if item.effect.key == "coulomb"]
+    return (share.size - 0.5) / max(share.size_std, 0.05)
+
+
+def _left(diagnosis: RobotDiagnosis) -> float:
+    assert diagnosis.joints[0].mechanics is not None
+    held_out = diagnosis.joints[0].mechanics.held_out
+    return held_out.interleaved / held_out.torque
+
+
+@pytest.mark.parametrize(
+    ("limit", "measured", "upper"),
+    [("smallest_share", _share, False), ("certain", _certainty, False), ("unexplained", _left, True)],
+)
+def test_a_claim_ends_at_its_limit(
+    rubbing: RobotDiagnosis, monkeypatch: pytest.MonkeyPatch, limit: str,
+    measured: Callable[[RobotDiagnosis], float], upper: bool,
+) -> None:  # fmt: skip
+    value = measured(rubbing)
+    assert verdict_with(rubbing, monkeypatch, **{limit: value * (1.02 if upper else 0.98)})
+    assert not verdict_with(rubbing, monkeypatch, **{limit: value * (0.98 if upper else 1.02)})
+
+
+def test_a_reading_that_is_a_little_worse_fits_as_well_up_to_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    readings = (Reading(), Reading(torque_lag_s=0.002))
+    relative = np.array([0.010, 0.0105])
+    groups = np.tile(relative[:, None], (1, 4))
+    scores = ReadingScores(readings, relative, groups, groups, 0.002)
+    for limit, count in ((0.051, 2), (0.049, 1)):
+        monkeypatch.setattr(shared_reading, "THRESHOLDS", replace(THRESHOLDS, fits_as_well=limit))
+        assert len(scores.fit_as_well()) == count
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1.0 + 0.8 * 0.02, False), (1.0 + 1.3 * 0.02, True)])
+def test_a_factor_of_a_speed_is_told_beyond_its_limit(tmp_path: Path, factor: float, named: bool) -> None:
+    assert velocity.THRESHOLDS.velocity_gain == 0.02
+    columns: dict[str, Any] = log_columns()
+    columns["vel"] = factor * columns["vel"]
+    np.savez(tmp_path / "log.npz", **columns)
+    diagnosis = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")
+    assert bool([finding for finding in diagnosis.findings if finding.key == "velocity_factor"]) is named

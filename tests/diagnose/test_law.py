@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_elements import with_law
-from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch
+from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError
 from nmt_diagnose.law.reading import LawReading, read_law
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
@@ -317,6 +317,21 @@ def test_where_no_term_acts_no_law_is_told(monkeypatch: pytest.MonkeyPatch) -> N
     found = read_law(chain_of_masses(), held([(3, "cubic", (4.0e8,), ())]))
     assert found is not None
     assert (found.laws, found.refusals) == ((), ("no local force explains them",))
+
+
+def test_a_law_under_which_the_motion_has_no_bound_is_not_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    plain = LawSearch.problem
+
+    def problem(search: LawSearch, others: list) -> object:
+        if others:
+            raise UnboundedMotionError
+        return plain(search, others)
+
+    monkeypatch.setattr(LawSearch, "problem", problem)
+    found = read_law(chain_of_masses(), held([(3, "cubic", (4.0e8,), ())]))
+    assert found is not None
+    assert not found.laws
+    assert "the motion has no bound" in found.refusals[0]
 
 
 def test_a_wrong_gain_alone_is_no_law() -> None:

@@ -28,3 +28,10 @@ def test_no_gap_names_parameters_that_moved_by_many_of_their_uncertainties() -> 
 def test_an_effect_is_told_beside_the_model_as_it_was_given() -> None:
     assert "from 86.37 to 5.20" in said(Verdict.EFFECT)
     assert "The model as it was given stands at 57.66." in said(Verdict.EFFECT)
+
+
+def test_parameters_that_predict_worse_close_no_share_of_a_gap() -> None:
+    worse = Gap(129.47, 324.56, 1.0, 129.47, -1.519, -1.55, -0.17, {}, ("every second level",))
+    text = " ".join(sentences(Verdict.CALIBRATION, (), (), None, worse, (), (spring(7.0),)))
+    assert "predicts data held out from the fit no better: 129.47 standard deviations rms before, 324.56 after" in text
+    assert "closes" not in text

@@ -10,7 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
 from scipy.optimize import nnls
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
@@ -140,22 +141,26 @@ def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray)
     free = np.concatenate([np.ones(m, bool), signed])
     a, b = np.flatnonzero(free), np.flatnonzero(~free)
     normal = gram + np.diag(np.where(np.arange(size) < m, 1.0, _JITTER))
-    factor = cho_factor(normal[np.ix_(a, a)]) if a.size else None
     theta = np.zeros(size)
+    # LAPACK itself: this runs thousands of times a reading, and checks of its arguments take as long as it does.
+    factor, fault = dpotrf(normal[a[:, np.newaxis], a]) if a.size else (None, 0)
+    if fault:
+        raise np.linalg.LinAlgError("the columns of either sign are no more than others of them")
 
     def by_free(values: FloatArray) -> FloatArray:
-        return np.asarray(cho_solve(factor, values)) if factor is not None else values
+        return np.asarray(dpotrs(factor, values)[0]) if factor is not None else values
 
     if b.size:
-        across = by_free(normal[np.ix_(a, b)])
-        schur = normal[np.ix_(b, b)] - normal[np.ix_(b, a)] @ across
-        reduced = right[b] - normal[np.ix_(b, a)] @ by_free(right[a])
+        beside = normal[a[:, np.newaxis], b]
+        schur = normal[b[:, np.newaxis], b] - beside.T @ by_free(beside)
+        reduced = right[b] - beside.T @ by_free(right[a])
         scale = np.sqrt(np.maximum(np.diag(schur), 1e-300))
         schur, reduced = schur / np.outer(scale, scale) + _JITTER * 1e2 * np.eye(b.size), reduced / scale
-        try:
-            upper = cholesky(schur)
-        except np.linalg.LinAlgError:
+        upper, fault = dpotrf(schur)
+        if fault:
             upper = cholesky(schur + 1e-6 * np.eye(b.size))
-        theta[b] = nnls(upper, solve_triangular(upper, reduced, trans="T"))[0] / scale
-    theta[a] = by_free(right[a] - normal[np.ix_(a, b)] @ theta[b])
+        theta[b] = nnls(upper, dtrtrs(upper, reduced, trans=1)[0])[0] / scale
+        theta[a] = by_free(right[a] - beside @ theta[b])
+    else:
+        theta[a] = by_free(right)
     return theta

@@ -63,6 +63,10 @@ class Candidate:
         return [(place, term, float(value)) for (place, term), value in pairs if value != 0.0]
 
 
+class UnboundedMotionError(ArithmeticError):
+    """Under a law that is tried the motion grows beyond all numbers."""
+
+
 class LawSearch:
     """Looks for laws in the rows of one test.
 
@@ -83,13 +87,19 @@ class LawSearch:
         return known_motion(self.rows, self.known, others)[1] if self.known is not None else []
 
     def problem(self, others: Forces) -> ConvexFit:
-        """The fit of the missing force, the model's own elements along the motion that other forces make, too."""
+        """The fit of the missing force, the model's own elements along the motion that other forces make, too.
+
+        Raises:
+            UnboundedMotionError: under these forces the model has no motion that numbers hold.
+        """
         motion, forces = known_motion(self.rows, self.known, others) if self.known is not None else (None, [])
         missing = self.rows.measured.copy()
         for participation, force in forces:
             missing -= self.rows.of_force(participation, force)
         columns, names = nuisance_columns(self.rows, self.rig, self.known, motion, others)
         white = np.moveaxis(self.rows.whitened(np.moveaxis(columns, -1, 0)), 0, -1)
+        if not np.isfinite(white).all():
+            raise UnboundedMotionError
         return ConvexFit(self.rows.whitened(missing), white, self.inner, names)
 
     def places(self) -> list[LawPlace]:
@@ -174,7 +184,10 @@ class LawSearch:
         best = candidate
         for turn in range(MOTION_ROUNDS):
             forces = self.forces(candidate)
-            problem = self.problem(forces)
+            try:
+                problem = self.problem(forces)
+            except UnboundedMotionError:
+                return best
             motions = tuple(self._moved(candidate, k, forces) for k in range(len(candidate.parts)))
             parts = candidate.parts
             if turn:

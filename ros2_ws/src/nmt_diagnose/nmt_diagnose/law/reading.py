@@ -14,7 +14,7 @@ from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
 from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.law.law_rows import LawRows
-from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, fewest
+from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.terms import Term, sampled
@@ -187,9 +187,13 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
         why = "no local force explains them"
         return LawReading(levels.name, levels.count, (), before, before, 0.0, 0.0, (why,))
     best = fewest(finalists)
-    best = _with_second(search, best)
+    try:
+        best = _with_second(search, best)
+        above = closed_share(*_above(search, best))
+    except UnboundedMotionError:
+        why = "under the law that explains them best the motion has no bound"
+        return LawReading(levels.name, levels.count, (), before, best.score, 0.0, 0.0, (why,))
     laws = tuple(_law(search, best, number, finalists) for number in range(len(best.parts)) if _acting(best, number))
-    above = closed_share(*_above(search, best))
     return LawReading(
         levels.name, levels.count, laws, before, best.score, closed_share(before, best.score), above,
         _refusals(best, before, above),

@@ -43,7 +43,7 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
     if channels:
         names = " and the ".join(channels)
         result.append(
-            f"No element there follows a channel: its strengths are those at the middle of the {names} that was visited."
+            f"No element there follows a channel: its strengths are those at the middle of the visited {names}."
         )
     return tuple(result)
 

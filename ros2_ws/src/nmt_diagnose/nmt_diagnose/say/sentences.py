@@ -202,6 +202,12 @@ def _how_far(gap: Gap, what: str) -> str:
             f"{what} takes the fit from {gap.before:.2f} to {gap.after:.2f} standard deviations (rms; 1 is what "
             "the stated uncertainties allow); too few data could be held out to say how much of the gap that closes."
         )
+    if gap.closed <= 0.0:
+        return (
+            f"{what} predicts data held out from the fit no better: {gap.before:.2f} standard deviations rms before, "
+            f"{gap.after:.2f} after it, where scatter alone leaves {gap.floor:.2f}; the new values are not to be "
+            "relied on."
+        )
     closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
     interval = f" (90 % interval {limits})" if limits else ""
     return (

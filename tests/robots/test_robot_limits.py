@@ -32,12 +32,13 @@ def rubbing(tmp_path_factory: pytest.TempPathFactory) -> RobotDiagnosis:
 
 
 def verdict_with(diagnosis: RobotDiagnosis, monkeypatch: pytest.MonkeyPatch, **limits: float) -> bool:
-    """Whether the joint differs under other limits."""
+    """Whether the joint's Coulomb friction differs under other limits."""
     monkeypatch.setattr(joint_verdict, "THRESHOLDS", replace(THRESHOLDS, **limits))
     joint = diagnosis.joints[0]
     assert isinstance(joint.mechanics, JointMechanics)
     plain = (joint.torque, joint.as_logged)
-    return joint_verdict.joint_verdict(joint.joint, diagnosis.motion, 0, [joint.mechanics], plain).differs
+    verdict = joint_verdict.joint_verdict(joint.joint, diagnosis.motion, 0, [joint.mechanics], plain)
+    return bool(next(term.differs for term in verdict.terms if term.key == "coulomb"))
 
 
 def _share(diagnosis: RobotDiagnosis) -> float:
@@ -50,6 +51,13 @@ def _certainty(diagnosis: RobotDiagnosis) -> float:
     return (share.size - 0.5) / max(share.size_std, 0.05)
 
 
+def _certainty_over_readings(diagnosis: RobotDiagnosis) -> float:
+    """With one reading alone, as the limit is asked there."""
+    assert diagnosis.joints[0].mechanics is not None
+    (share,) = [item for item in diagnosis.joints[0].mechanics.shares if item.effect.key == "coulomb"]
+    return (share.size - 0.5) / share.size_std
+
+
 def _left(diagnosis: RobotDiagnosis) -> float:
     assert diagnosis.joints[0].mechanics is not None
     held_out = diagnosis.joints[0].mechanics.held_out
@@ -58,7 +66,12 @@ def _left(diagnosis: RobotDiagnosis) -> float:
 
 @pytest.mark.parametrize(
     ("limit", "measured", "upper"),
-    [("smallest_share", _share, False), ("certain", _certainty, False), ("unexplained", _left, True)],
+    [
+        ("smallest_share", _share, False),
+        ("certain", _certainty, False),
+        ("certain_over_readings", _certainty_over_readings, False),
+        ("unexplained", _left, True),
+    ],
 )
 def test_a_claim_ends_at_its_limit(
     rubbing: RobotDiagnosis, monkeypatch: pytest.MonkeyPatch, limit: str,

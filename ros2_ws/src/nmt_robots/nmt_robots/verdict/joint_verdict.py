@@ -261,6 +261,7 @@ def joint_verdict(
             part > THRESHOLDS.smallest_share
             and nearest > THRESHOLDS.certain * single
             and nearest > THRESHOLDS.certain * tolerance
+            and abs(difference) > THRESHOLDS.certain_over_readings * std
             and share.impossible == 0.0
             and key in best.causes
             and key not in _OF_FIRST_ORDER

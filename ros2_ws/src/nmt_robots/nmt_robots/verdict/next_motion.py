@@ -44,7 +44,7 @@ class Request:
     def sentence(self) -> str:
         """For people."""
         words = f"{_KINDS[self.kind]} of {', '.join(self.joints)}: {self.why}"
-        if self.gain > 1.0:
+        if self.gain > 1.2:
             words += f"; in the same time the ± of Coulomb and viscous friction shrink at least {self.gain:.2g}-fold"
         return words + "."
 

@@ -187,8 +187,9 @@ def main(arguments: list[str]) -> int:
             discard_set_up()
         set_up(wanted)
         return 0
-    state = set_up(wanted)
-    if command in PATIENT:
+    computes = command not in ("rigs", "completion") and not {"-h", "--help"} & set(rest)
+    state = set_up(wanted, compiled=computes)
+    if computes and command in PATIENT:
         wait_for_later()
     if command == "test":
         return run_tests(state, rest)

@@ -69,18 +69,23 @@ def only_set_up() -> Iterator[int]:
         os.close(guard)
 
 
-def set_up(wanted: str | None) -> dict[str, Any]:
+def set_up(wanted: str | None, compiled: bool = True) -> dict[str, Any]:
     """Bring the set-up in step with the files of the project; returns its stamps.
 
     Args:
         wanted: "wheels" or "system" where the user chose, else None.
+        compiled: whether the command computes: else its kernels are left for one that does.
 
     Raises:
         SetupError: something the user must fix.
     """
+
+    def pending_now() -> list[str]:
+        return [step for step in pending_steps(state) if compiled or step != "kernels"]
+
     state = read_state()
     source = choose_source(wanted, state)
-    if state.get("source") == source and not pending_steps(state):
+    if state.get("source") == source and not pending_now():
         return state
     refuse_path(ROOT)
     with only_set_up() as guard:
@@ -94,7 +99,7 @@ def set_up(wanted: str | None) -> dict[str, Any]:
                 state = {"source": source, "python": version}
         if not os.path.isfile(lock_file(state)):
             raise SetupError(f"{os.path.relpath(lock_file(state), ROOT)} is missing: is this a complete clone?")
-        pending = pending_steps(state)
+        pending = pending_now()
         troubles = machine_troubles(source)
         if troubles:
             raise SetupError("\nnmt: ".join(troubles))

@@ -117,6 +117,17 @@ def test_kernels_are_cached_once_their_module_exists(project):
     assert project.calls() == []
 
 
+def test_a_command_that_computes_nothing_leaves_the_kernels_to_the_next(project):
+    project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
+    project.launcher.set_up.set_up(None, compiled=False)
+    assert project.calls() == FIRST
+    project.launcher.set_up.set_up(None, compiled=False)
+    assert project.calls() == []
+    project.launcher.set_up.set_up(None)
+    project.launcher.kernels.wait_for_later()
+    assert any("nmt_bench.warm_up" in line for line in project.calls())
+
+
 def test_kernels_of_the_background_are_waited_for_by_who_needs_them_and_end_with_the_set_up(project, monkeypatch):
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
     project.write("hold-others", "")

@@ -39,7 +39,7 @@ def test_a_healthy_log_keeps_silent(tmp_path: Path) -> None:
     strayed = replace(joint, unchanged=0.5 * joint.torque)
     assert strayed.cause == "not known"
     assert strayed.difference == "not known: the model leaves 50 % of the torque, no cause is claimed"
-    assert ", of 1 the cause is not known" in replace(diagnosis, joints=(strayed,)).verdict
+    assert "; 1 without a known cause" in replace(diagnosis, joints=(strayed,)).verdict
     assert not [finding for finding in diagnosis.findings if finding.fault]
     assert joint.left < 0.05 * joint.torque
 

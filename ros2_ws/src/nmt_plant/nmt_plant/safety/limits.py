@@ -159,7 +159,7 @@ class LimitGuard:
         self._rows: dict[Quantity, _Rows] = {}
         self._silent: dict[OpenLoop, int] = {}
         self._last: Sequence[SampleBlock] = ()
-        self._drive = self._rang = 0.0
+        self._drive = self._drive_of_ringing = 0.0
 
     def check(self, blocks: Sequence[SampleBlock], drive: float = 0.0) -> bool:
         """Latch the first violation; True if tripped now or before. NaN and infinity violate every limit.
@@ -185,7 +185,7 @@ class LimitGuard:
         if blocks:  # of a block with lost samples nothing is known; the one before still tells the proportion
             self._last, self._drive = blocks, drive
             fade = math.exp(-blocks[0].samples / (blocks[0].sample_rate * _RING_TIME))
-            self._rang = max(drive, fade * self._rang) if drive > 0.0 else 0.0
+            self._drive_of_ringing = max(drive, fade * self._drive_of_ringing) if drive > 0.0 else 0.0
         return False
 
     def _rows_of(self, block: SampleBlock) -> _Rows:
@@ -270,7 +270,7 @@ class LimitGuard:
             if self._drive == 0.0:
                 rows.background[:] = rows.peaks
                 continue
-            gain = np.maximum(rows.peaks - rows.background, 0.0) / self._rang
+            gain = np.maximum(rows.peaks - rows.background, 0.0) / self._drive_of_ringing
             expected = rows.peaks + gain * (drive - self._drive)
             if (expected > PREDICTION_FACTOR * rows.abort_peak).any():
                 row = int(np.argmax(expected / rows.abort_peak))
@@ -296,6 +296,6 @@ class LimitGuard:
         """Forget the violation and what led to it; warnings and margins stay."""
         self.reason = ""
         self._silent.clear()
-        self._last, self._drive, self._rang = (), 0.0, 0.0
+        self._last, self._drive, self._drive_of_ringing = (), 0.0, 0.0
         for rows in self._rows.values():
             rows.values[:2] = 0.0

@@ -35,10 +35,9 @@ class Reading:
     def text(self) -> str:
         """In words."""
         words = [f"command {self.command}"]
-        if self.command_lag_s:
-            words.append(f"{1e3 * self.command_lag_s:.3g} ms late")
-        if self.torque_lag_s:
-            words.append(f"torque {1e3 * self.torque_lag_s:.3g} ms late")
+        for what, lag in (("", self.command_lag_s), ("torque ", self.torque_lag_s)):
+            if lag:
+                words.append(f"{what}{1e3 * abs(lag):.3g} ms {'late' if lag > 0.0 else 'early'}")
         if self.derived:
             words.append("damping by the derivative of the position")
         return ", ".join(words)

@@ -43,7 +43,7 @@ class ReadingScores:
 
     @property
     def plain(self) -> int:
-        """Number of the reading that takes the log at its word."""
+        """Number of the reading that takes the log as it is."""
         return self.readings.index(Reading())
 
     def among(self, command: str, late: str) -> tuple[Array, Array]:

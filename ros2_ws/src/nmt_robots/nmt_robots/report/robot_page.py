@@ -51,7 +51,7 @@ def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
     values = {name: diagnosis.left_over(name) for name in ("torque", "as_logged", "left")}
     return [
         ("Torque", f"{significant(values['torque'], 3)} N·m", "rms over the joints"),
-        ("Left by the plain fit", f"{significant(values['as_logged'], 3)} N·m", "log at its word, held-out seconds"),
+        ("Left by the plain fit", f"{significant(values['as_logged'], 3)} N·m", "log as it is, held-out seconds"),
         ("Left now", f"{significant(values['left'], 3)} N·m", "held-out seconds"),
     ]
 
@@ -92,7 +92,7 @@ def _held_out(diagnosis: RobotDiagnosis) -> Markup:
         if joint.mechanics is not None
     ]
     head = [
-        ("joint", ""), ("torque", "N·m"), ("model as given", "N·m"), ("plain fit, log at its word", "N·m"),
+        ("joint", ""), ("torque", "N·m"), ("model as given", "N·m"), ("plain fit, log as it is", "N·m"),
         ("plain fit", "N·m"), ("all terms", "N·m"), ("plain fit, last part", "N·m"), ("all terms, last part", "N·m"),
     ]  # fmt: skip
     return html_table(head, rows, "Last part: fitted to the first 70 % of the rows, judged by the others.")
@@ -199,7 +199,7 @@ def _bars(diagnosis: RobotDiagnosis) -> ReportFigure:
     axes = figure.add_axes((0.07, 0.32, 0.91, 0.6))
     places = np.arange(len(judged))
     kinds = (
-        (-0.27, "as_logged", "plain fit, log at its word", MUTED),
+        (-0.27, "as_logged", "plain fit, log as it is", MUTED),
         (0.0, "plain", "plain fit, log read anew", ORANGE),
         (0.27, "left", "all terms", BLUE),
     )

@@ -68,7 +68,7 @@ class JointVerdict:
         mechanics: what was found; None where it does not move enough.
         terms: of its torque, largest difference first.
         torque: rms about the mean, N·m.
-        as_logged: left on held-out seconds by the plain fit of the log at its word, N·m.
+        as_logged: left on held-out seconds by the plain fit of the log as it is, N·m.
         unchanged: left by the model as it is, with the log read as chosen.
         plain: left by the plain fit with the log read as chosen.
         left: left by all terms.
@@ -235,7 +235,7 @@ def joint_verdict(
         motion: of all joints.
         number: column of the joint.
         results: under each reading, that taken first.
-        plain: torque and what the plain fit leaves of the log at its word, N·m.
+        plain: torque and what the plain fit leaves of the log as it is, N·m.
         timing: what a delay that the joints share makes of a term, by key.
     """
     best = results[0]

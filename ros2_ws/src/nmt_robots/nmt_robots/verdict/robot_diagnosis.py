@@ -85,7 +85,7 @@ class RobotDiagnosis:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
 
         Args:
-            which: ``torque``, ``as_logged`` (plain fit of the log at its word), ``plain`` or ``left``.
+            which: ``torque``, ``as_logged`` (plain fit of the log as it is), ``plain`` or ``left``.
         """
         values = [getattr(joint, which) for joint in self.joints if joint.mechanics is not None]
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
@@ -103,9 +103,9 @@ class RobotDiagnosis:
         ) > 1 else "The log has one fault"  # fmt: skip
         differing = sum(joint.differs for joint in judged)
         open_joints = sum(not joint.differs and not joint.is_as_in_the_model for joint in judged)
-        unknown = f", of {open_joints} the cause is not known" if open_joints else ""
+        unknown = f"; {open_joints} without a known cause" if open_joints else ""
         return (
-            f"{log}; {differing} of {len(judged)} joints differ from the model by a named cause{unknown}. Of the "
+            f"{log}. Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. Of the "
             f"torque that the plain fit leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit has "
             f"seen ({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
         )
@@ -363,7 +363,7 @@ def _understood(
 ) -> tuple[list[Reading], dict[int, list[JointMechanics]]]:
     """How the log is read, best first, and the mechanics of each joint that moves under each of the readings.
 
-    A reading other than the log at its word has to explain more than that does with the causes that it needs: what a
+    A reading other than the log as it is has to explain more than that does with the causes that it needs: what a
     gain or a spring does to the torque would else be made of delays.
     """
     movers = [int(number) for number in np.flatnonzero(motion.moves)]
@@ -398,7 +398,7 @@ def _understood(
 
 
 def _plain_left(motion: Motion, torque: Array) -> list[tuple[float, float]]:
-    """Torque of each joint and what the plain fit of the log at its word leaves on held-out seconds, N·m."""
+    """Torque of each joint and what the plain fit of the log as it is leaves on held-out seconds, N·m."""
     found = []
     for joint in range(torque.shape[1]):
         if not motion.moves[joint]:

@@ -104,9 +104,11 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
     verdict = joint_verdict(joint, item.motion, found.number, [found.mechanics], figures)
     alike = item.other < 1.5 * item.left
     if item.gap:
-        words = f"backlash from end to end, behind it {item.stiffness:.3g} N·m/rad"
         other = ("elastic transmission",) if alike else ()
-        term = Term("backlash", words, "rad", item.gap, item.gap_std, 0.0, found.share, True, other)
+        # The stiffness behind it is not told: it reads a quarter to a half of what it is.
+        term = Term(
+            "backlash", "backlash from end to end,", "rad", item.gap, item.gap_std, 0.0, found.share, True, other
+        )
     else:
         other = ("backlash",) if alike else ()
         term = Term("elastic", "elastic transmission, stiffness", "N·m/rad", item.stiffness, item.stiffness_std, 0.0,

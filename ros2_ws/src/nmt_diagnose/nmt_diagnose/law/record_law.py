@@ -16,7 +16,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_words import family
-from nmt_diagnose.law.moved_record import MovedRecords, constant_of
+from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share, nearly_as_well
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed
 from nmt_diagnose.observations.observables import Observations
@@ -59,12 +59,7 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
         search.problem.predicted(records.columns([]), signed([]), top),
         search.problem.predicted(records.columns([t for b in best.blocks for t in b.terms]), signed(best.blocks), top),
     )
-    free = {constant_of(record.test) for record in records.records}
-    pulled = [
-        f"{error} ({value:+.1f} σ)"
-        for error, value in zip(records.names, best.fit.nuisance, strict=True)
-        if abs(value) > limits.pull_sigmas and error not in free
-    ]
+    pulled = search.pulled(best)
     why = ""
     if best.score > limits.told_score_ratio * before:
         why = f"with it {100.0 * best.score / before:.0f} % of the misfit stay; half is asked for"

@@ -18,7 +18,7 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
 from nmt_diagnose.law.law_search import best_moved, between
-from nmt_diagnose.law.moved_record import POSITION, MovedRecords
+from nmt_diagnose.law.moved_record import POSITION, MovedRecords, constant_of
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -69,9 +69,27 @@ class RecordSearch:
 
     def __init__(self, records: MovedRecords) -> None:
         self.records = records
-        inner = list(range(1, records.count - 1))
-        self.problem = ConvexFit(records.missing, records.nuisance, inner, records.names)
-        self.null = self.law(())
+        self._missing, self._errors = records.missing, records.nuisance
+        free = {constant_of(record.test) for record in records.records}
+        self._free = np.array([name in free for name in records.names], bool)
+        self.null = self._weighed(self._weighed(None))
+
+    def _weighed(self, law: RecordLaw | None) -> RecordLaw:
+        """The law, none at first, with its rows counted as what it leaves is worth.
+
+        What neighbours leave alike counts once, and what is left beyond the stated noise is noise, too. Thousands of
+        samples of a wrong law would otherwise bend chain and model by tens of their standard deviations.
+        """
+        worth = 1.0 if law is None else self._scale(law)
+        self.worth = np.where(self._free, 1.0, worth)
+        inner = list(range(1, self.records.count - 1))
+        self.problem = ConvexFit(self._missing, self._errors / self.worth, inner, self.records.names)
+        return self.law(() if law is None else law.blocks)
+
+    def _scale(self, law: RecordLaw) -> float:
+        """Standard deviation that a row counts with, over the stated one."""
+        left = law.fit.corrected - self.records.columns(_terms(law.blocks)) @ law.fit.coefficients
+        return max(law.score, 1.0) / math.sqrt(self.records.independent(left))
 
     def law(self, blocks: Sequence[Block]) -> RecordLaw:
         """Blocks with their fit."""
@@ -96,6 +114,7 @@ class RecordSearch:
                 return result or grown
             kept = sorted((self.polished(law) for law in grown[:_KEPT]), key=lambda law: law.score)
             result += kept + grown[_KEPT:]
+            kept = [self._weighed(kept[0]), *(self.law(law.blocks) for law in kept[1:])]
         return result
 
     def _beside(self, law: RecordLaw, families: Sequence[Sequence[Block]]) -> list[RecordLaw]:
@@ -148,11 +167,18 @@ class RecordSearch:
         found = self.law(blocks)
         return found if found.score <= law.score and found.acts else law
 
+    def pulled(self, law: RecordLaw) -> list[str]:
+        """Errors of chain and model that a law needs and that are not ordinarily so large."""
+        pulls = law.fit.nuisance / self.worth
+        return [
+            f"{error} ({value:+.1f} σ)"
+            for error, value, free in zip(self.records.names, pulls, self._free, strict=True)
+            if abs(value) > THRESHOLDS.law.pull_sigmas and not free
+        ]
+
     def covariance(self, law: RecordLaw) -> FloatArray:
         """Covariance of the strengths of the terms that act, parameters being free, (k, k)."""
-        columns = self.records.columns(_terms(law.blocks)) @ law.fit.coefficients
-        # Rows that are not independent say less, and what is left beyond the stated noise is noise, too.
-        scale = max(law.score, 1.0) / math.sqrt(self.records.independent(law.fit.corrected - columns))
+        scale = self._scale(law)
         slopes = [
             (self._force(law, k, parameter, 1.0 + _STEP) - self._force(law, k, parameter, 1.0 - _STEP)) / (2.0 * _STEP)
             for k, block in enumerate(law.blocks)
@@ -186,7 +212,7 @@ class RecordSearch:
             ]
             fewer = [other for other in fewer if other.score <= most and other.terms and other.acts]
             if not fewer:
-                return law
+                return self._weighed(law)
             law = min(fewer, key=lambda other: (len(other.terms), other.score))
 
 

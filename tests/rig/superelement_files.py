@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 from scipy import sparse
 
@@ -84,6 +86,38 @@ def triple(rows, matrix, i, j):
 def nastran(value):
     """Sixteen characters with a D or without a letter, as Nastran writes them."""
     return f"{value:.9E}".replace("E", "D") if value > 0.0 else f"{value:.10E}".replace("E", "")
+
+
+def op2(path, matrices):
+    """OUTPUT2 of double precision without a label: records between their lengths, columns as runs of numbers."""
+    content = bytearray()
+
+    def record(*parts):
+        body = b"".join(parts)
+        content.extend(struct.pack("<i", len(body)) + body + struct.pack("<i", len(body)))
+
+    def keys(*values):
+        for value in values:
+            record(struct.pack("<i", value))
+
+    for number, (name, matrix) in enumerate(matrices.items(), start=101):
+        n = matrix.shape[0]
+        title = f"{name:<8}".encode()
+        keys(2)
+        record(title)
+        keys(-1, 7)
+        record(struct.pack("<7i", number, n, n, 6, 2, 2 * n, 10_000))
+        keys(-2, 1, 0, 4)
+        record(title, bytes(8))
+        for column in range(n):
+            keys(-3 - column, 1, 1)
+            filled = np.flatnonzero(matrix[:, column])
+            for run in np.split(filled, np.flatnonzero(np.diff(filled) > 1) + 1):
+                keys(2 * run.size)
+                record(struct.pack("<i", int(run[0]) + 1), matrix[run, column].astype("<f8").tobytes())
+        keys(-3 - n, 1, 0, 0)
+    keys(0)
+    path.write_bytes(content)
 
 
 def named_npz(path, matrices, rows, nodes):

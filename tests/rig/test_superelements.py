@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rig.superelement_files import FORMS, cantilever, entry_list, write
+from rig.superelement_files import FORMS, cantilever, entry_list, op2, write
 from rig.test_matrix_files import mutated
 from scipy import sparse
 from scipy.linalg import eigh
@@ -265,6 +266,32 @@ def test_op4_is_read_by_name_of_the_cards_beside_it(tmp_path, how):
             read_model({"file": tmp_path / "model.op4"})
         except BadFileError:
             continue
+
+
+def test_op2_is_read_by_name_of_the_cards_beside_it(tmp_path):
+    pytest.importorskip("pyyeti.nastran.op2", reason="pyyeti, which reads OP2, is not installed")
+    matrices, rows, _ = cantilever()
+    path = tmp_path / "model.op2"
+    op2(path, {"KXX": matrices["stiffness"], "MXX": matrices["mass"]})
+    (tmp_path / "model.asm").write_text(punched_names(rows))
+    model = read_model({"file": path})
+    assert [(label // 100, label % 100) for label in model.labels.tolist()] == rows
+    for name, matrix in matrices.items():
+        np.testing.assert_array_equal(model.matrices[name].toarray(), matrix)
+    content = path.read_bytes()
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        path.write_bytes(content[: random.integers(len(content))])
+        with contextlib.suppress(BadFileError):
+            read_model({"file": path})
+
+
+def test_the_file_with_the_matrices_is_named_beside_their_cards(tmp_path):
+    """Of the files that Nastran writes together a newcomer takes the text."""
+    (tmp_path / "model.pch").write_text(punched_names(cantilever()[1]))
+    (tmp_path / "model.op4").write_bytes(b"")
+    with pytest.raises(BadFileError, match=r"no square matrix; model\.op4 beside it may have them"):
+        read_model({"file": tmp_path / "model.pch"})
 
 
 def test_a_full_file_of_ansys_is_read(tmp_path):

@@ -95,7 +95,10 @@ def model_figures(paths: Mapping[str, Path], units: str) -> ModelFigures:
     except OSError as error:
         raise BenchError(f"{error.filename} cannot be read: {error.strerror or error}.") from error
     except ValueError as error:
-        raise BenchError(f"{', '.join(path.name for path in paths.values())}: {error}.") from error
+        names = ", ".join(path.name for path in paths.values())
+        # A reader names the one of several files.
+        where = "" if any(str(error).startswith(f"{path.name}: ") for path in paths.values()) else f"{names}: "
+        raise BenchError(f"{where}{error}.") from error
     scaled = model.in_metres(system)
     labels = np.zeros(0, np.int64) if scaled.labels is None else scaled.labels[scaled.labels % 100 > 0]
     return ModelFigures(

@@ -377,6 +377,9 @@ def read_dmig(path: Path) -> ModelPart:
         raise (
             error if isinstance(error, BadFileError) else BadFileError(f"a DMIG card is not whole ({error})")
         ) from error
+    binaries = [path.with_suffix(ending) for ending in (".op4", ".op2")]
+    if not found and (names := [binary.name for binary in binaries if binary.is_file()]):
+        raise BadFileError(f"it has no square matrix; {names[0]} beside it may have them")
     # 1 and 6 are square and symmetric forms; rectangular and complex ones are loads and gains.
     chosen = matrix_names([name for name in found if forms.get(name, 0) in (1, 6)])
     if any(not -(10**14) < row < 10**14 for name in chosen.values() for row in found[name][0]):

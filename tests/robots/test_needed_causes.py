@@ -16,7 +16,7 @@ from nmt_robots.log_faults.repair import unwrapped
 from nmt_robots.mechanics import ladder
 from nmt_robots.mechanics.ladder import JointProblem
 from nmt_robots.mechanics.motion import motion_of
-from nmt_robots.mechanics.readings import DriveTorque, Reading
+from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.joint_verdict import by_shared_delay, values_in_model
@@ -31,7 +31,7 @@ def problem(folder: Path, more: Callable[[float, float], float] | None = None) -
     model = RobotModel(robot_file(folder))
     log, _ = unwrapped(read_log(folder / "log.npz", model.path), model.joints)
     motion = motion_of(model, log)
-    return JointProblem(motion, 0, DriveTorque(log).torque(Reading())[:, 0], None, log.joints)
+    return JointProblem(motion, 0, DriveSignals(DriveTorque(log).torque(Reading())[:, 0]), log.joints)
 
 
 def test_a_spring_brings_its_rest_with_it(tmp_path: Path) -> None:

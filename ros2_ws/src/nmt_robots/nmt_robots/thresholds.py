@@ -15,6 +15,7 @@ class Thresholds:
         certain: an effect is claimed beyond so many of its standard uncertainties.
         certain_over_readings: the same with the spread between readings of the log in the uncertainty, a bound.
         alike: cosine between what two effects add beyond the usual terms; above it they are one class.
+        equal: the same cosine, above which two effects are one in any such log and bear one name.
         fits_as_well: a reading of the log whose pooled relative residual, squared, is larger by no more than this fits
             as well.
         smallest_floor: of a joint's torque; no set of causes is expected to leave less over, for the bodies have
@@ -41,6 +42,7 @@ class Thresholds:
     certain: float = 3.0
     certain_over_readings: float = 2.5
     alike: float = 0.95
+    equal: float = 0.99
     fits_as_well: float = 0.06
     smallest_floor: float = 0.02
     needed_gain: float = 0.05

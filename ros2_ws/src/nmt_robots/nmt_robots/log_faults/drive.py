@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from nmt_robots.log.joint_log import Array, JointLog
@@ -32,8 +34,6 @@ def torque_findings(log: JointLog, joints: tuple[Joint, ...], torque: Array) -> 
                 fault=False,
             )
         )
-    else:
-        found += _law_in_measured(log)
     beyond = []
     for number, joint in enumerate(joints):
         share = float(np.mean(np.abs(torque[:, number]) > 0.999 * joint.effort))
@@ -52,34 +52,40 @@ def torque_findings(log: JointLog, joints: tuple[Joint, ...], torque: Array) -> 
     return found
 
 
-def _law_in_measured(log: JointLog) -> list[Finding]:
-    """A torque given as measured that is the control law itself."""
-    assert log.torque is not None
-    if log.position_command is None:
-        return []
-    left = []
-    for joint in range(log.torque.shape[1]):
-        terms = [log.position_command[:, joint] - log.position[:, joint], np.ones(log.rows)]
+def computed_by_law(log: JointLog) -> tuple[JointLog, list[Finding]]:
+    """The log with a torque that was given as measured, but is the control law of the drives, taken for what it is.
+
+    Such a torque says no more than command, position and speed do, so it is computed of these from here on, in every
+    reading of them, with the gains that it has itself.
+    """
+    if log.torque is None or log.position_command is None:
+        return log, []
+    commanded = np.zeros_like(log.position) if log.velocity_command is None else log.velocity_command
+    left, gains = [], np.zeros((len(log.joints), 2))
+    for joint, torque in enumerate(log.torque.T):
+        terms = [log.position_command[:, joint] - log.position[:, joint]]
         if log.velocity is not None:
-            # A drive's own speed may have another filter than the logged one.
-            terms += [log.velocity[:, joint], np.gradient(log.velocity[:, joint])]
-        if log.velocity_command is not None:
-            terms.append(log.velocity_command[:, joint])
-        matrix = np.column_stack(terms)
-        size = float(np.std(log.torque[:, joint]))
+            # A drive's speed may have another filter than the logged one.
+            speed = log.velocity[:, joint]
+            terms += [commanded[:, joint] - speed, np.gradient(speed)]
+        if log.torque_command is not None:
+            torque = torque - log.torque_command[:, joint]
+        matrix = np.column_stack([*terms, np.ones(log.rows)])
+        size = float(np.std(torque))
         if size > 0.0:
-            solution = np.linalg.lstsq(matrix, log.torque[:, joint], rcond=None)[0]
-            left.append(float(np.std(log.torque[:, joint] - matrix @ solution)) / size)
+            solution = np.linalg.lstsq(matrix, torque, rcond=None)[0]
+            left.append(float(np.std(torque - matrix @ solution)) / size)
+            gains[joint, : min(len(terms), 2)] = solution[: min(len(terms), 2)]
     if not left or float(np.median(left)) > THRESHOLDS.exact:
-        return []
-    return [
-        Finding(
-            "torque_is_law",
-            "The torque that is given as measured is the control law of the drives to "
-            f"{100 * float(np.median(left)):.2g} %: it was computed, not measured.",
-            float(np.median(left)), 0.0, "1",
-        )
-    ]  # fmt: skip
+        return log, []
+    middle = float(np.median(left))
+    listed = ", ".join(f"{name} {kp:.3g} N·m/rad" for name, (kp, _) in zip(log.joints, gains, strict=True))
+    sentence = (
+        "The torque that is given as measured is the control law of the drives to "
+        f"{100 * middle:.2g} %: it was computed, not measured (position gains {listed})."
+    )
+    found = Finding("torque_is_law", sentence, middle, 0.0, "1")
+    return replace(log, torque=None, position_gain=gains[:, 0], velocity_gain=gains[:, 1]), [found]
 
 
 def reading_findings(scores: ReadingScores, held_s: float) -> list[Finding]:

@@ -2,18 +2,47 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.readings import DriveSignals
 
 _LARGEST_SCALE = 0.5
 """Of gravity or inertia: no link of a model is wrong by more than half."""
 
 _PASSIVE = frozenset({"stribeck", "quadratic_friction", "root_friction", "load_friction", "end_stop"})
 """Rivals that would drive the joint if their coefficient were negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Motion of a joint and the torques on it: N rows each, or numbers of one moment of a simulation.
+
+    Attributes:
+        q, v, a: angle, speed, acceleration; rad, rad/s, rad/s².
+        gravity, inertial: torque of the rigid bodies at rest, and what motion adds to it, N·m.
+        torque: of the drive, N·m.
+        error, speed_error: what its gains multiply, rad and rad/s; NaN where the torque was measured.
+    """
+
+    q: Any
+    v: Any
+    a: Any
+    gravity: Any
+    inertial: Any
+    torque: Any = math.nan
+    error: Any = math.nan
+    speed_error: Any = math.nan
+
+
+Law = Callable[[State], tuple[Any, ...]]
+"""Torques of a state, one for each coefficient, per unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +60,7 @@ class Effect:
         smallest: the same below which it is not.
         frees: key of a usual effect that it brings with it, such as the offset of a spring whose rest is not known.
         made_of_torque: whether the columns are part of the drive's torque itself, so that they can make it small.
+        law: that the columns follow; None of what more than one joint's state makes.
     """
 
     key: str
@@ -43,6 +73,7 @@ class Effect:
     made_of_torque: bool = False
     smallest: float = 0.0
     frees: str = ""
+    law: Law | None = None
 
     @property
     def parameters(self) -> int:
@@ -50,81 +81,126 @@ class Effect:
         return int(self.columns.shape[1])
 
 
+def _following(state: State, law: Law, key: str, words: str, unit: str, **limits: Any) -> Effect:
+    """An effect whose columns a law makes of the rows of a state."""
+    rows = len(state.q)
+    columns = np.column_stack([np.broadcast_to(column, rows) for column in law(state)])
+    return Effect(key, words, unit, columns, law=law, **limits)
+
+
 def usual_effects(motion: Motion, joint: int) -> list[Effect]:
     """Coulomb and viscous friction, armature and an offset: the plain fit."""
-    v, a = motion.v[:, joint], motion.a[:, joint]
+    state = _state(motion, joint)
     return [
-        Effect("coulomb", "Coulomb friction", "N·m", np.sign(v)[:, None], never_negative=True),
-        Effect("viscous", "viscous friction", "N·m·s/rad", v[:, None], never_negative=True),
-        Effect("armature", "armature", "kg·m²", a[:, None], never_negative=True),
-        Effect("offset", "offset of the torque", "N·m", np.ones((len(v), 1))),
+        _following(state, lambda s: (np.sign(s.v),), "coulomb", "Coulomb friction", "N·m", never_negative=True),
+        _following(state, lambda s: (s.v,), "viscous", "viscous friction", "N·m·s/rad", never_negative=True),
+        _following(state, lambda s: (s.a,), "armature", "armature", "kg·m²", never_negative=True),
+        _following(state, lambda s: (1.0,), "offset", "offset of the torque", "N·m"),
     ]
 
 
-def rival_effects(
-    motion: Motion, joint: int, torque: Array, error: Array | None, names: tuple[str, ...] = ()
-) -> list[Effect]:
+def _state(motion: Motion, joint: int, drive: DriveSignals | None = None) -> State:
+    q, v, a = motion.q[:, joint], motion.v[:, joint], motion.a[:, joint]
+    gravity = motion.gravity[:, joint]
+    bodies = gravity, motion.rigid[:, joint] - gravity
+    if drive is None:
+        return State(q, v, a, *bodies)
+    error = math.nan if drive.error is None else drive.error
+    return State(q, v, a, *bodies, drive.torque, error, math.nan if drive.speed_error is None else drive.speed_error)
+
+
+def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[str, ...] = ()) -> list[Effect]:
     """What may come on top of the usual effects, one at a time.
 
     Args:
         motion: of all joints.
         joint: number of the column.
-        torque: N, N·m, of the drive, filtered once.
+        drive: of the joint, filtered once.
         names: of the joints, for the links that they carry.
-        error: N, filtered once; command minus position where the torque is computed of it; None = it was measured.
     """
-    q, v, a = motion.q[:, joint], motion.v[:, joint], motion.a[:, joint]
-    direction = np.sign(v)
-    gravity, rigid = motion.gravity[:, joint], motion.rigid[:, joint]
+    state = _state(motion, joint, drive)
+    torque = drive.torque
     found: list[Effect] = []
 
-    def add(key: str, words: str, unit: str, *columns: Array, shape: str = "", largest: float = np.inf) -> None:
-        found.append(Effect(key, words, unit, np.column_stack(columns), key in _PASSIVE, shape, largest))
+    def add(law: Law, key: str, words: str, unit: str, **limits: Any) -> None:
+        limits.setdefault("never_negative", key in _PASSIVE)
+        found.append(_following(state, law, key, words, unit, **limits))
 
     for speed in (0.05, 0.1, 0.2, 0.5):
-        if speed < 0.3 * float(np.max(np.abs(v))):
-            fading = direction * np.exp(-np.abs(v) / speed)
-            add("stribeck", "friction that falls with speed (Stribeck)", "N·m", fading, shape=f"{speed:g} rad/s")
-    add("quadratic_friction", "friction that grows with the square of speed", "N·m·s²/rad²", v * np.abs(v))
-    add("root_friction", "friction that grows with the root of speed", "N·m·√(s/rad)", direction * np.sqrt(np.abs(v)))
-    add("viscous_by_direction", "viscous friction that depends on the direction", "N·m·s/rad", np.abs(v))
-    add("load_friction", "friction that grows with the load, or efficiency by direction", "1",
-        direction * np.abs(torque), largest=_LARGEST_SCALE)  # fmt: skip
-    if np.std(gravity) > 0.0:
-        add("gravity_scale", "mass or its distance (all of gravity scaled)", "1", gravity, largest=_LARGEST_SCALE)
+        if speed < 0.3 * float(np.max(np.abs(state.v))):
+            add(_falling(speed), "stribeck", "friction that falls with speed (Stribeck)", "N·m",
+                shape=f"{speed:g} rad/s")  # fmt: skip
+    add(lambda s: (s.v * np.abs(s.v),), "quadratic_friction", "friction that grows with the square of speed",
+        "N·m·s²/rad²")  # fmt: skip
+    add(lambda s: (np.sign(s.v) * np.sqrt(np.abs(s.v)),), "root_friction",
+        "friction that grows with the root of speed", "N·m·√(s/rad)")  # fmt: skip
+    add(lambda s: (np.abs(s.v),), "viscous_by_direction", "viscous friction that depends on the direction",
+        "N·m·s/rad")  # fmt: skip
+    add(lambda s: (np.sign(s.v) * np.abs(s.torque),), "load_friction",
+        "friction that grows with the load, or efficiency by direction", "1", largest=_LARGEST_SCALE)  # fmt: skip
+    if np.std(state.gravity) > 0.0:
+        add(lambda s: (s.gravity,), "gravity_scale", "mass or its distance (all of gravity scaled)", "1",
+            largest=_LARGEST_SCALE)  # fmt: skip
     for name, doubled in zip(names, motion.of_links, strict=False):
         if np.std(doubled[:, joint]) > 0.01 * np.std(torque):
-            add("link_mass", "mass of a link", "1", doubled[:, joint], shape=f"link of {name}")
-    if np.std(rigid - gravity) > 0.0:
-        add("inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1", rigid - gravity,
+            found.append(Effect("link_mass", "mass of a link", "1", doubled[:, [joint]], shape=f"link of {name}"))
+    if np.std(state.inertial) > 0.0:
+        add(lambda s: (s.inertial,), "inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1",
             largest=_LARGEST_SCALE)  # fmt: skip
-    found.append(
-        Effect("spring", "spring or counterbalance", "N·m/rad", (q - np.mean(q))[:, None], frees="offset")
-    )  # fmt: skip
-    if np.std(gravity) > 0.0:
-        add("mass_centre", "mass or centre of mass in the plane of the joint", "N·m", np.cos(q), np.sin(q),
-            largest=_LARGEST_SCALE * float(np.max(np.abs(gravity))))  # fmt: skip
-    words = "gain, torque constant or gear ratio of the drive (all of its torque scaled)"
-    found.append(Effect("gain", words, "1", -torque[:, None], largest=_LARGEST_SCALE, made_of_torque=True))
-    if error is not None:
-        words = "position gain of the drive"
-        found.append(Effect("gain", words, "N·m/rad", -error[:, None], shape="kp", made_of_torque=True))
-        size = np.abs(torque)
-        lowest, highest = (float(x) for x in np.quantile(size, (0.5, 0.98)))
-        for limit in np.linspace(lowest, highest, 16):
-            beyond = np.sign(torque) * np.maximum(size - limit, 0.0)
-            found.append(Effect("saturation", "limit of the drive's torque", "1", beyond[:, None], True,
-                                f"{limit:.3g} N·m", 1.5, True, 0.5))  # fmt: skip
+    middle = float(np.mean(state.q))
+    add(lambda s: (s.q - middle,), "spring", "spring or counterbalance", "N·m/rad", frees="offset")
+    if np.std(state.gravity) > 0.0:
+        add(lambda s: (np.cos(s.q), np.sin(s.q)), "mass_centre", "mass or centre of mass in the plane of the joint",
+            "N·m", largest=_LARGEST_SCALE * float(np.max(np.abs(state.gravity))))  # fmt: skip
+    found += _of_the_drive(state, drive)
     for side in (1.0, -1.0):
-        low, high = np.quantile(side * q, (0.75, 0.998))
+        low, high = np.quantile(side * state.q, (0.75, 0.998))
         for angle in side * np.linspace(low, high, 20):
-            add("end_stop", "end stop", "N·m/rad", side * np.maximum(side * (q - angle), 0.0),
+            add(_stopped(side, angle), "end_stop", "end stop", "N·m/rad",
                 shape=f"{'above' if side > 0 else 'below'} {angle:.3g} rad")  # fmt: skip
-    reach = float(np.ptp(q))
+    reach = float(np.ptp(state.q))
     for order in range(1, 61):
         if order * reach > 2.0 * np.pi:
-            add("ripple", "torque that changes with the angle", "N·m", np.cos(order * q), np.sin(order * q),
-                shape=f"{order} per turn")  # fmt: skip
-    jerk = np.gradient(a, motion.step_s)
-    add("jerk", "elastic transmission, backlash or a delay of this joint alone", "kg·m²·s", jerk)
+            add(_rippling(order), "ripple", "torque that changes with the angle", "N·m", shape=f"{order} per turn")
+    jerk = np.gradient(state.a, motion.step_s)[:, None]
+    words = "elastic transmission, backlash or a delay of this joint alone"
+    found.append(Effect("jerk", words, "kg·m²·s", jerk))
     return found
+
+
+def _of_the_drive(state: State, drive: DriveSignals) -> list[Effect]:
+    """Gains, torque constant and limit of a drive."""
+    words = "gain, torque constant or gear ratio of the drive (all of its torque scaled)"
+    found = [_following(state, lambda s: (-s.torque,), "gain", words, "1", largest=_LARGEST_SCALE, made_of_torque=True)]
+    if drive.error is None:
+        return found
+    for law, words, unit, shape in (
+        (lambda s: (-s.error,), "position gain of the drive", "N·m/rad", "kp"),
+        (lambda s: (-s.speed_error,), "velocity gain of the drive", "N·m·s/rad", "kd"),
+    ):
+        found.append(_following(state, law, "gain", words, unit, shape=shape, made_of_torque=True))
+    lowest, highest = (float(x) for x in np.quantile(np.abs(drive.torque), (0.5, 0.98)))
+    for limit in np.linspace(lowest, highest, 16):
+        found.append(
+            _following(
+                state, _limited(float(limit)), "saturation", "limit of the drive's torque", "1", never_negative=True,
+                shape=f"{limit:.3g} N·m", largest=1.5, smallest=0.5, made_of_torque=True,
+            )
+        )  # fmt: skip
+    return found
+
+
+def _falling(speed: float) -> Law:
+    return lambda s: (np.sign(s.v) * np.exp(-np.abs(s.v) / speed),)
+
+
+def _stopped(side: float, angle: float) -> Law:
+    return lambda s: (side * np.maximum(side * (s.q - angle), 0.0),)
+
+
+def _rippling(order: int) -> Law:
+    return lambda s: (np.cos(order * s.q), np.sin(order * s.q))
+
+
+def _limited(limit: float) -> Law:
+    return lambda s: (np.sign(s.torque) * np.maximum(np.abs(s.torque) - limit, 0.0),)

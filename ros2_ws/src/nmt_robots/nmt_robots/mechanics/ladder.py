@@ -11,12 +11,15 @@ from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.columns import Effect, rival_effects, usual_effects
 from nmt_robots.mechanics.least_squares import Fit, fitted, solve
 from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.readings import DriveSignals
 from nmt_robots.mechanics.selection import Chooser, nuisances_of
 from nmt_robots.thresholds import THRESHOLDS
 
 USUAL = ("coulomb", "viscous", "armature", "offset")
 _LAST_PART = 0.7
 _FURTHER_AT_MOST = 2
+_MOSTLY_OTHERS = 0.1
+"""Of a column, beyond other effects, below which it is theirs and says nothing of a further one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +31,7 @@ class Share:
         values, std: of its coefficients.
         rms: torque that it takes, N·m.
         alike: words of effects whose columns say the same in this log.
+        equal: those of them whose columns are the same, so that no fit parts them.
         impossible: what a coefficient would be that may not be negative; zero where it is allowed.
     """
 
@@ -36,6 +40,7 @@ class Share:
     std: Array
     rms: float
     alike: tuple[str, ...] = ()
+    equal: tuple[str, ...] = ()
     impossible: float = 0.0
 
     @property
@@ -59,11 +64,13 @@ class HeldOut:
         interleaved: every other second.
         last: the last part, which in a chirp is another motion.
         torque: of the drive in the same rows, about its mean, with the gain that was found.
+        early: coefficients of all effects by the rows before the last part.
     """
 
     interleaved: float
     last: float
     torque: float
+    early: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,25 +107,31 @@ class JointProblem:
     Args:
         motion: of all joints.
         joint: number of the column.
-        torque: N, N·m, of the drive as it is read, unfiltered.
-        error: N; command minus position, where the torque is computed of it.
+        drive: of this joint as it is read, unfiltered.
         names: of all joints.
     """
 
-    def __init__(
-        self, motion: Motion, joint: int, torque: Array, error: Array | None, names: tuple[str, ...] = ()
-    ) -> None:
+    def __init__(self, motion: Motion, joint: int, drive: DriveSignals, names: tuple[str, ...] = ()) -> None:
         self.motion, self.joint = motion, joint
-        smooth = motion.smooth_twice(torque)
+        smooth = motion.smooth_twice(drive.torque)
         self._rows = motion.moving[:, joint]
         self.torque = smooth[self._rows]
         self._every = smooth - motion.rigid[:, joint]
         self.left = self._every[self._rows]
         self.blocks = motion.blocks[self._rows]
         self.usual = usual_effects(motion, joint)
-        once = motion.smooth(torque)
-        self.rivals = rival_effects(motion, joint, once, None if error is None else motion.smooth(error), names)
         self._filtered: dict[int, Array] = {}
+        every = rival_effects(motion, joint, drive.through(motion.smooth), names)
+        # A velocity gain beside a commanded speed of zero is viscous friction: it is named with it and is no rival.
+        twins = [rival for rival in every if rival.shape == "kd" and self._is_viscous(rival)]
+        self.rivals = [rival for rival in every if rival not in twins]
+        self.library = [*self.usual, *self.rivals, *twins]
+
+    def _is_viscous(self, rival: Effect) -> bool:
+        """Whether its column is that of viscous friction, beyond the other usual effects."""
+        viscous = next(effect for effect in self.usual if effect.key == "viscous")
+        others = self.columns([effect for effect in self.usual if effect is not viscous])
+        return _cosine(others, self.columns([viscous]), self.columns([rival])) > THRESHOLDS.equal
 
     def columns(self, effects: list[Effect]) -> Array:
         """Filtered columns of effects in the rows that move."""
@@ -146,7 +159,7 @@ class JointProblem:
             place += effect.parameters
             if effect.made_of_torque:
                 torque = torque - matrix[:, part] @ values[part]
-        return HeldOut(_rms(lost), _rms(last), float(np.std(torque)))
+        return HeldOut(_rms(lost), _rms(last), float(np.std(torque)), values)
 
     def fit(self, effects: list[Effect]) -> Fit:
         """Coefficients of effects by all rows; ± with what the model's own tolerances make of them."""
@@ -197,6 +210,15 @@ class JointProblem:
             return 0.0
         centre = float(np.median(self._every[still]))
         return float(np.mean(np.abs(self._every[still] - centre) > 1.1 * coulomb))
+
+
+def first_of_last_part(motion: Motion) -> int:
+    """The row from which on no joint's values of :attr:`HeldOut.early` have seen the log."""
+    first = 0
+    for rows in motion.moving.T[motion.moves]:
+        moving = np.flatnonzero(rows)
+        first = max(first, int(moving[min(int(_LAST_PART * len(moving)), len(moving) - 1)]))
+    return first
 
 
 def never_negative(effects: list[Effect]) -> Array:
@@ -324,35 +346,48 @@ def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool)
         place += effect.parameters
         columns = problem.columns([effect])
         torque = columns @ fit.values[part]
-        alike = _alike(problem, effects, effect) if named else ()
+        alike = _alike(problem, effects, effect) if named else {}
+        equal = tuple(words for words, cosine in alike.items() if cosine > THRESHOLDS.equal)
+        impossible = float(np.sum(fit.negative[part]))
         shares.append(
-            Share(effect, fit.values[part], fit.std[part], _rms(torque), alike, float(np.sum(fit.negative[part])))
-        )
+            Share(effect, fit.values[part], fit.std[part], _rms(torque), tuple(alike), equal, impossible)
+        )  # fmt: skip
     return shares
 
 
-def _alike(problem: JointProblem, effects: list[Effect], effect: Effect) -> tuple[str, ...]:
-    """Effects of the library whose columns, beyond the other effects, point the way of this one."""
+def _alike(problem: JointProblem, effects: list[Effect], effect: Effect) -> dict[str, float]:
+    """Effects of the library whose columns, beyond the other effects, point the way of this one: words and cosine."""
     others = [item for item in effects if item is not effect]
-    basis = np.linalg.qr(problem.columns(others))[0]
-    column = problem.columns([effect])
-    beyond = column - basis @ (basis.T @ column)
+    basis, column = problem.columns(others), problem.columns([effect])
+    beyond = _beyond(basis, column)
     size = np.linalg.norm(column)
     if size == 0.0 or np.linalg.norm(beyond) < 1e-6 * size:
-        return ("the other effects together",)
-    direction = np.linalg.qr(beyond)[0]
-    found = []
-    for rival in [*problem.usual, *problem.rivals]:
-        if rival.key == effect.key or any(rival is item for item in others) or rival.words in found:
+        return {"the other effects together": 1.0}
+    found: dict[str, float] = {}
+    for rival in problem.library:
+        if rival.key == effect.key or any(rival is item for item in others):
             continue
         if rival.parameters > effect.parameters:
             continue
-        other = problem.columns([rival])
-        other = other - basis @ (basis.T @ other)
-        length = float(np.linalg.norm(other))
-        if length > 0.0 and np.linalg.norm(direction.T @ other) / length > THRESHOLDS.alike:
-            found.append(rival.words)
-    return tuple(found)
+        cosine = _cosine(basis, column, problem.columns([rival]))
+        if cosine > max(THRESHOLDS.alike, found.get(rival.words, 0.0)):
+            found[rival.words] = cosine
+    return found
+
+
+def _beyond(basis: Array, columns: Array) -> Array:
+    """What of columns is not in the span of others."""
+    span = np.linalg.qr(basis)[0]
+    return np.asarray(columns - span @ (span.T @ columns))
+
+
+def _cosine(basis: Array, columns: Array, other: Array) -> float:
+    """Of the angle between columns and other ones, beyond a basis; zero where the basis has most of the other ones."""
+    direction, remainder = np.linalg.qr(_beyond(basis, columns))[0], _beyond(basis, other)
+    length = float(np.linalg.norm(remainder))
+    if length <= _MOSTLY_OTHERS * float(np.linalg.norm(other)):
+        return 0.0
+    return float(np.linalg.norm(direction.T @ remainder)) / length
 
 
 def _rms(values: Array) -> float:

@@ -6,6 +6,7 @@ Each reading gives a torque; which one fits is asked of all joints together, for
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -75,6 +76,30 @@ def joined(command: Array) -> Array:
     return np.column_stack([np.interp(every, rows, command[rows, joint]) for joint in range(command.shape[1])])
 
 
+@dataclass(frozen=True, eq=False)
+class DriveSignals:
+    """Torque of drives in one reading, and what their law made it of.
+
+    Attributes:
+        torque: N × J, or N of one joint, N·m.
+        error: command minus position, rad; None where the torque was measured.
+        speed_error: commanded minus measured speed, rad/s, which the velocity gain multiplies; None in the same case.
+    """
+
+    torque: Array
+    error: Array | None = None
+    speed_error: Array | None = None
+
+    def of(self, joint: int) -> DriveSignals:
+        """Those of one joint."""
+        return self.through(lambda values: np.asarray(values[:, joint]))
+
+    def through(self, change: Callable[[Array], Array]) -> DriveSignals:
+        """All of them after the same change."""
+        error, speed_error = (None if part is None else change(part) for part in (self.error, self.speed_error))
+        return DriveSignals(change(self.torque), error, speed_error)
+
+
 class DriveTorque:
     """Torque of the drives of a log, under any reading.
 
@@ -89,11 +114,21 @@ class DriveTorque:
         if self.arithmetic and log.position_command is not None:
             self._between[SMOOTH] = joined(log.position_command)
 
-    def error(self, reading: Reading) -> Array:
+    def signals(self, reading: Reading) -> DriveSignals:
+        """Torque under a reading, with what the gains multiply where it is computed."""
+        if not self.arithmetic:
+            return DriveSignals(self.torque(reading))
+        return DriveSignals(self.torque(reading), self._error(reading), self._speed_error(reading))
+
+    def _error(self, reading: Reading) -> Array:
         """Command minus position under a reading, N × J, rad; what the position gain multiplies."""
+        return self.command(reading) - self._log.position
+
+    def command(self, reading: Reading) -> Array:
+        """Commanded position under a reading, N × J, rad."""
         command = self._between.get(reading.command)
         assert command is not None
-        return late(command, reading.command_lag_s, self._step) - self._log.position
+        return late(command, reading.command_lag_s, self._step)
 
     def torque(self, reading: Reading) -> Array:
         """N × J, N·m."""
@@ -101,16 +136,20 @@ class DriveTorque:
         if log.torque is not None:
             return late(log.torque, reading.torque_lag_s, self._step)
         assert log.position_gain is not None
-        torque: Array = log.position_gain * self.error(reading)
+        torque: Array = log.position_gain * self._error(reading)
         if log.velocity_gain is not None:
-            derived = log.velocity is None or reading.derived
-            velocity = np.gradient(log.position, self._step, axis=0) if derived else log.velocity
-            assert velocity is not None
-            commanded = 0.0 if log.velocity_command is None else log.velocity_command
-            torque = torque + log.velocity_gain * (commanded - velocity)
+            torque = torque + log.velocity_gain * self._speed_error(reading)
         if log.torque_command is not None:
             torque = torque + log.torque_command
         return late(torque, reading.torque_lag_s, self._step)
+
+    def _speed_error(self, reading: Reading) -> Array:
+        """Commanded minus measured speed under a reading, N × J, rad/s; what the velocity gain multiplies."""
+        log = self._log
+        derived = log.velocity is None or reading.derived
+        velocity = np.gradient(log.position, self._step, axis=0) if derived else log.velocity
+        assert velocity is not None
+        return (0.0 if log.velocity_command is None else log.velocity_command) - velocity
 
     def candidates(self, derived: bool = False, longest_s: float = 0.04) -> list[Reading]:
         """Readings that the log allows: each lag of command and of torque; of both at once only small ones of torque.

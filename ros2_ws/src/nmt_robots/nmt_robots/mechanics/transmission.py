@@ -38,6 +38,8 @@ class Transmission:
 
     Attributes:
         stiffness, stiffness_std: N·m/rad.
+        ratio: of damping of the link on it.
+        inertia: of the link, kg·m².
         gap, gap_std: play from end to end, rad; zero of a transmission that only gives way.
         motion: of all joints, with what is passed on in the place of this joint's rigid torque.
         left: rms on seconds that they were not fitted to, below the frequencies of an encoder's noise, N·m.
@@ -47,6 +49,8 @@ class Transmission:
 
     stiffness: float
     stiffness_std: float
+    ratio: float
+    inertia: float
     gap: float
     gap_std: float
     motion: Motion
@@ -166,7 +170,8 @@ def transmission_of(link: LinkBehindTransmission, torques: list[Array]) -> Trans
     rigid[:, joint] = motion.smooth_twice(link.passed_on(only)[:, 0])
     unmoved = scorer.scores(motion.rigid[:, [joint]])
     return Transmission(
-        float(k[best]), _spread(k, by_reading, mask, best), float(gap[best]), _spread(gap, by_reading, mask, best),
+        float(k[best]), _spread(k, by_reading, mask, best), float(candidates.ratio[best]),
+        link.inertia, float(gap[best]), _spread(gap, by_reading, mask, best),
         replace(motion, rigid=rigid), lefts[has_gap], lefts[not has_gap],
         float(np.sqrt(np.min(np.mean(unmoved[0], axis=1)))),
     )  # fmt: skip

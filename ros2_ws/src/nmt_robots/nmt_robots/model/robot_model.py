@@ -7,6 +7,7 @@ not in the torque, so that they are not counted twice.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,9 +66,9 @@ class RobotModel:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        mujoco = _mujoco()
+        mujoco = mujoco_library()
         self.text = read_text(self.path, "robot file")
-        self._model = _compiled(mujoco, self.path, self.text)
+        self._model = compiled(mujoco, self.path, self.text)
         self._mujoco = mujoco
         self.floating = bool(self._model.njnt and int(self._model.jnt_type[0]) == int(mujoco.mjtJoint.mjJNT_FREE))
         self.joints = tuple(self._joint(index) for index in range(int(self.floating), self._model.njnt))
@@ -249,7 +250,7 @@ class RobotModel:
             )
 
 
-def _mujoco() -> Any:
+def mujoco_library() -> Any:
     """The library.
 
     Raises:
@@ -262,8 +263,14 @@ def _mujoco() -> Any:
     return mujoco
 
 
-def _compiled(mujoco: Any, path: Path, text: str) -> Any:
+def compiled(mujoco: Any, path: Path, text: str, joints: Sequence[str] | None = None) -> Any:
     """The compiled model without its meshes.
+
+    Args:
+        mujoco: the library.
+        path: of the file, for sentences.
+        text: MJCF or URDF.
+        joints: that move, without drives and sensors; all others stand still where the file has them. None = all.
 
     Raises:
         BenchError: MuJoCo refuses it.
@@ -280,7 +287,19 @@ def _compiled(mujoco: Any, path: Path, text: str) -> Any:
         for kind in ("meshes", "skins", "textures", "hfields"):
             for item in list(getattr(spec, kind, ())):
                 spec.delete(item)
+        if joints is not None:
+            _keep_only(spec, joints)
         return spec.compile()
     except (ValueError, RuntimeError) as error:
         lines = str(error).strip().splitlines()
         raise BenchError(f"{path} cannot be read as a robot: {lines[0] if lines else error}.") from error
+
+
+def _keep_only(spec: Any, joints: Sequence[str]) -> None:
+    """Leave bodies and the named joints."""
+    for kind in ("keys", "sensors", "actuators", "tendons"):
+        for item in list(getattr(spec, kind, ())):
+            spec.delete(item)
+    for number, joint in enumerate(list(spec.joints)):
+        if (joint.name or f"joint{number}") not in joints:
+            spec.delete(joint)

@@ -30,10 +30,10 @@ def write_robot_diagnosis(diagnosis: RobotDiagnosis, folder: Path) -> None:
     write_result(folder / "joints.csv", joints_csv(diagnosis))
     changed = changes(diagnosis)
     write_result(folder / diagnosis.model.path.with_stem("robot").name, robot_text(diagnosis, changed))
-    heads = ("joint", "term", "value", "std", "unit", "in_model", "written_to_robot_file")
+    heads = ("joint", "term", "value", "std", "unit", "in_model", "one_class_with", "written_to_robot_file")
     rows = [
         (item.joint, item.key, f"{item.value:.6g}", f"{item.std:.2g}", item.unit, f"{item.in_model:.6g}",
-         "yes" if item.attribute else "no word for it")
+         "; ".join(item.alike), "yes" if item.attribute else "no word for it")
         for item in changed
     ]  # fmt: skip
     write_result(folder / "changes.csv", csv_text([heads, *rows]))

@@ -15,7 +15,12 @@ from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import BLUE, MUTED, ORANGE, ReportFigure, figure_style, svg_text
 from nmt_robots.log_faults.finding import is_known
 from nmt_robots.verdict.joint_verdict import JointVerdict
+from nmt_robots.verdict.replay import Replay
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
+
+_REPLAYED_JOINTS = 4
+_REPLAYED_POINTS = 600
+"""In a figure."""
 
 
 def robot_page(diagnosis: RobotDiagnosis) -> str:
@@ -36,6 +41,7 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
             ("log", "The log", _log(diagnosis)),
             ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
             ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
+            *([("replay", "The log replayed", _replay(diagnosis.replay))] if diagnosis.replay else []),
             *([("others", "Other logs", _others(diagnosis))] if diagnosis.others else []),
             ("terms", "Terms of each joint", _terms(diagnosis)),
             ("next", "What to move next", _next(diagnosis)),
@@ -117,6 +123,50 @@ def _others(diagnosis: RobotDiagnosis) -> Markup:
     return parts
 
 
+def _replay(replay: Replay) -> Markup:
+    """The log through the model as given and as changed."""
+    rows = [
+        (item.joint, replay.changed.get(item.joint, "nothing"), _missed(item.before), _missed(item.after))
+        for item in replay.joints
+    ]
+    head = [("joint", ""), ("changed", ""), ("model as given misses", "mrad"), ("changed model misses", "mrad")]
+    with figure_style():
+        figure = _motions(replay)
+    return html_figures([figure]) + html_table(head, rows, f"{replay.how} Rms of the position; mm of a slide.")
+
+
+def _missed(value: float) -> str:
+    return significant(1e3 * value, 3) if is_known(value) else "runs away"
+
+
+def _motions(replay: Replay) -> ReportFigure:
+    """Measured and simulated positions of the joints that are off most, and what each simulation misses."""
+    chosen = sorted(replay.joints, key=lambda item: -np.nan_to_num(item.before, nan=np.inf))[:_REPLAYED_JOINTS]
+    every = slice(None, None, max(1, len(replay.time) // _REPLAYED_POINTS))
+    figure = Figure(figsize=(9.2, 1.9 * len(chosen) + 0.5))
+    grid: Any = figure.subplots(len(chosen), 2, squeeze=False, sharex=True)
+    figure.subplots_adjust(left=0.08, right=0.99, top=1.0 - 0.4 / (1.9 * len(chosen) + 0.5), hspace=0.25, wspace=0.2,
+                           bottom=0.45 / (1.9 * len(chosen) + 0.5))  # fmt: skip
+    for (axes, missed), item in zip(grid, chosen, strict=True):
+        time = replay.time[every]
+        axes.plot(time, item.measured[every], color=MUTED, linewidth=2.5, label="measured")
+        for values, label, colour in (
+            (item.by_model, "model as given", ORANGE),
+            (item.by_changed, "changed model", BLUE),
+        ):
+            axes.plot(time, values[every], color=colour, linewidth=0.9, label=label)
+            missed.plot(time, 1e3 * (values - item.measured)[every], color=colour, linewidth=0.9)
+        axes.set_ylabel(f"{item.joint} (rad)")
+        missed.set_ylabel("missed (mrad)")
+    for axes in grid[-1]:
+        axes.set_xlabel("time of the replay (s)")
+    grid[0][0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    more = len(replay.joints) - len(chosen)
+    words = "Measured and simulated motion." + (f" {more} joints that are off less are in the table." if more else "")
+    return ReportFigure("replay", "The log replayed", words,
+                        svg_text(figure, "replay", "Measured and simulated positions"), wide=True)  # fmt: skip
+
+
 def _figures(joint: JointVerdict) -> tuple[float, ...]:
     return (joint.torque, joint.unchanged, joint.as_logged, joint.plain, joint.left, joint.last_plain, joint.last)
 
@@ -125,17 +175,17 @@ def _terms(diagnosis: RobotDiagnosis) -> Markup:
     rows = [
         (
             joint.joint.name,
-            term.words,
+            term.name,
             value_text(term.value, term.std, term.unit) if term.impossible == 0.0 else term.text(),
             significant(term.in_model, 3) if term.in_model else "",
             percent(term.share),
-            ", ".join(term.alike),
+            ", ".join(words for words in term.alike if words not in term.equal),
         )
         for joint in diagnosis.joints
         for term in joint.terms
     ]
     head = [("joint", ""), ("term", ""), ("value", ""), ("in the model", ""), ("difference, of the torque", ""),
-            ("same column as", "")]  # fmt: skip
+            ("nearly the same column as", "")]  # fmt: skip
     return html_table(head, rows)
 
 

@@ -18,6 +18,7 @@ class Change:
     Attributes:
         joint: its name.
         key, value, std, unit, in_model: of the term.
+        alike: causes that are one class with it.
         attribute: of the robot's file that takes it; empty where the format has no word for it.
     """
 
@@ -27,6 +28,7 @@ class Change:
     std: float
     unit: str
     in_model: float
+    alike: tuple[str, ...]
     attribute: str
 
 
@@ -35,7 +37,8 @@ def changes(diagnosis: RobotDiagnosis) -> list[Change]:
     words = _URDF if is_urdf(diagnosis.model.text) else _MJCF
     return [
         Change(
-            joint.joint.name, term.key, term.value, term.std, term.unit, term.in_model, words.get(term.key, "")
+            joint.joint.name, term.key, term.value, term.std, term.unit, term.in_model, term.equal,
+            words.get(term.key, ""),
         )
         for joint in diagnosis.joints
         for term in joint.terms
@@ -60,7 +63,9 @@ def robot_text(diagnosis: RobotDiagnosis, changed: list[Change]) -> str:
 
 def _comment(items: list[Change]) -> str:
     words = ", ".join(
-        f"{item.attribute} {item.value:.4g} ± {item.std:.1g} {item.unit} (was {item.in_model:.4g})" for item in items
+        f"{item.attribute} {item.value:.4g} ± {item.std:.1g} {item.unit} (was {item.in_model:.4g}"
+        f"{''.join(f'; or {words}' for words in item.alike)})"
+        for item in items
     )
     return f"<!-- {words} -->"
 

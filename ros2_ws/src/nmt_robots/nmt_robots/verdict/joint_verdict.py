@@ -13,6 +13,7 @@ from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.ladder import JointMechanics, Share
 from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import Joint
 from nmt_robots.thresholds import THRESHOLDS
 
@@ -27,7 +28,8 @@ class Term:
         in_model: what the model has of it.
         share: of the joint's torque that the difference to the model takes, rms over rms.
         differs: whether the difference is certain, beyond the model's tolerance, and large enough to matter.
-        alike: what the same column could be as well.
+        alike: what nearly the same column could be as well.
+        equal: those of them that no fit of such a log parts from this one.
         impossible: coefficient that would have been negative and may not be; zero elsewhere.
     """
 
@@ -40,21 +42,29 @@ class Term:
     share: float
     differs: bool
     alike: tuple[str, ...] = ()
+    equal: tuple[str, ...] = ()
     impossible: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Its words with those of effects that are one class with it."""
+        return " or ".join((self.words, *self.equal))
 
     def text(self) -> str:
         """The term in a sentence."""
         if self.impossible < 0.0:
             return f"{self.words}: {self.impossible:.3g} {self.unit} would fit, which is impossible: timing"
         model = f" (model {self.in_model:.3g})" if self.in_model else ""
-        also = f"; the same column as {', '.join(self.alike)}" if self.alike else ""
-        return f"{self.words} {value_text(self.value, self.std, self.unit)}{model}{also}"
+        alike = [words for words in self.alike if words not in self.equal]
+        also = f"; nearly the same column as {', '.join(alike)}" if alike else ""
+        return f"{self.name} {value_text(self.value, self.std, self.unit)}{model}{also}"
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
         return {
             "key": self.key, "words": self.words, "unit": self.unit, "value": self.value, "std": self.std,
             "in_model": self.in_model, "share": self.share, "differs": self.differs, "alike": list(self.alike),
+            "equal": list(self.equal),
             "impossible": self.impossible,
         }  # fmt: skip
 
@@ -74,6 +84,7 @@ class JointVerdict:
         left: left by all terms.
         last_plain, last: the same of the last part of the log.
         remains: sentence on what is left over.
+        transmission: behind which its link moves by itself; None of a rigid one.
     """
 
     joint: Joint
@@ -87,6 +98,7 @@ class JointVerdict:
     last_plain: float = float("nan")
     last: float = float("nan")
     remains: str = ""
+    transmission: Transmission | None = None
 
     @property
     def differs(self) -> bool:
@@ -105,7 +117,7 @@ class JointVerdict:
             return "not judged"
         differing = [term for term in self.terms if term.differs]
         if differing:
-            return differing[0].words
+            return differing[0].name
         return "as in the model" if self.is_as_in_the_model else "not known"
 
     @property
@@ -182,8 +194,8 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
             value = value_text(share.size, share.size_std, share.effect.unit if share.effect.unit != "1" else "")
             if share.effect.key == "saturation":
                 sentence = f"{name}: the drive's torque ends at {share.effect.shape}; the computed one goes beyond."
-            elif share.effect.shape == "kp":
-                sentence = f"{name}: the position gain is off by {value} from what is stated."
+            elif share.effect.shape in _GAINS:
+                sentence = f"{name}: the {_GAINS[share.effect.shape]} gain is off by {value} from what is stated."
             else:
                 sentence = (
                     f"{name}: the torque is off by {value} of itself: torque constant, gear ratio or both gains of "
@@ -213,6 +225,7 @@ _WITH_A_MEAN = frozenset({"spring", "gravity_scale", "mass_centre", "link_mass",
 _FRICTION = frozenset({"coulomb", "viscous", "stribeck", "load_friction", "spring", "ripple", "end_stop"})
 """Effects that the motion of other joints does not make."""
 _OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
+_GAINS = {"kp": "position", "kd": "velocity"}
 _DISTURBING = 0.15
 """Torque left over in a joint, as a share, from which others beside it pay for its motion."""
 _ABOVE_WHAT_IS_LEFT = 0.7
@@ -274,7 +287,7 @@ def joint_verdict(
         words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
         terms.append(
             Term(key, words, share.effect.unit, share.size, std, reference, part, differs, share.alike,
-                 share.impossible)
+                 share.equal, share.impossible)
         )  # fmt: skip
     # An offset is what other terms leave of their mean: it stands behind them.
     terms.sort(key=lambda term: (not term.differs, term.key == "offset", -term.share))

@@ -91,8 +91,7 @@ def other_log(first: RobotDiagnosis, other: RobotDiagnosis) -> OtherLog:
     terms: list[ComparedTerm] = []
     left: dict[str, tuple[float, float, float]] = {}
     drive = DriveTorque(other.log)
-    torque = drive.torque(other.reading)
-    error = drive.error(other.reading) if drive.arithmetic else None
+    signals = drive.signals(other.reading)
     for verdict in first.joints:
         name = verdict.joint.name
         match = by_name.get(name)
@@ -100,8 +99,7 @@ def other_log(first: RobotDiagnosis, other: RobotDiagnosis) -> OtherLog:
             continue
         terms += _compared(verdict, match)
         number = other.log.joints.index(name)
-        column = None if error is None else error[:, number]
-        problem = JointProblem(other.motion, number, torque[:, number], column, other.log.joints)
+        problem = JointProblem(other.motion, number, signals.of(number), other.log.joints)
         left[name] = _left(problem, verdict)
     return OtherLog(other.log.source, tuple(terms), left)
 

@@ -16,7 +16,7 @@ from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.log.robot_sidecar import read_robot_sidecar, sidecar_of_text
 from nmt_robots.log_faults.assignment import assignment_findings
-from nmt_robots.log_faults.drive import order_findings, reading_findings, torque_findings
+from nmt_robots.log_faults.drive import computed_by_law, order_findings, reading_findings, torque_findings
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.log_faults.repair import (
     in_radians,
@@ -32,7 +32,7 @@ from nmt_robots.log_faults.rows import row_findings
 from nmt_robots.log_faults.velocity import velocity_findings, with_right_speeds
 from nmt_robots.mechanics.ladder import JointMechanics, JointProblem, explain
 from nmt_robots.mechanics.motion import Motion, motion_of, with_link_masses, with_yielding_base
-from nmt_robots.mechanics.readings import DriveTorque, Reading, held_time
+from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading, held_time
 from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
 from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
@@ -48,6 +48,7 @@ from nmt_robots.verdict.joint_verdict import (
 )
 from nmt_robots.verdict.next_motion import NextMotion, next_motion
 from nmt_robots.verdict.other_logs import OtherLog, other_log
+from nmt_robots.verdict.replay import Replay, replayed
 from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
 Progress = Callable[[str], None]
@@ -69,6 +70,7 @@ class RobotDiagnosis:
         joints: a verdict for each column of the log.
         next: what to move next.
         others: further logs that test the answer.
+        replay: the log through the model as given and as changed; None where it was not asked for.
     """
 
     model: RobotModel
@@ -80,6 +82,7 @@ class RobotDiagnosis:
     joints: tuple[JointVerdict, ...]
     next: NextMotion
     others: tuple[OtherLog, ...] = ()
+    replay: Replay | None = None
 
     def left_over(self, which: str) -> float:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
@@ -126,6 +129,7 @@ class RobotDiagnosis:
             "joints": [joint.to_mapping() for joint in self.joints],
             "next_motion": [request.to_mapping() for request in self.next.requests],
             "other_logs": [item.to_mapping() for item in self.others],
+            "replay": None if self.replay is None else self.replay.to_mapping(),
             "notes": list(self.log.notes),
         }
 
@@ -149,6 +153,8 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     progress("torque of the rigid bodies")
     log, motion, found = mended(robot, log, joints)
     found += contact_findings(robot, log)
+    log, law = computed_by_law(log)
+    found += law
     drive = DriveTorque(log)
     progress("looking at the log")
     plain_torque = drive.torque(Reading())
@@ -195,7 +201,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
 
 
 def diagnose_robot_by_logs(model: Path, real: Sequence[Path], progress: Progress = lambda _: None) -> RobotDiagnosis:
-    """Diagnose a robot by its first log and test the answer on the others, of which nothing is fitted.
+    """Diagnose a robot by its first log, replay it, and test the answer on the others, of which nothing is fitted.
 
     Args:
         model: MJCF or URDF file.
@@ -206,11 +212,13 @@ def diagnose_robot_by_logs(model: Path, real: Sequence[Path], progress: Progress
         BenchError: as :func:`diagnose_robot`.
     """
     first = diagnose_robot(model, real[0], progress)
+    progress("replaying the log")
+    replay = replayed(first.model, first.log, first.motion, first.as_well, first.joints, first.findings)
     others = []
     for path in real[1:]:
         progress(f"testing on {path.name}")
         others.append(other_log(first, diagnose_robot(model, path)))
-    return replace(first, others=tuple(others))
+    return replace(first, others=tuple(others), replay=replay)
 
 
 def check_units(log: JointLog, joints: tuple[Joint, ...]) -> None:
@@ -369,12 +377,11 @@ def _understood(
     movers = [int(number) for number in np.flatnonzero(motion.moves)]
 
     def explained(reading: Reading) -> dict[int, JointMechanics]:
-        torque, error = drive.torque(reading), drive.error(reading) if drive.arithmetic else None
-        found = {}
-        for number in movers:
-            column = None if error is None else error[:, number]
-            found[number] = explain(JointProblem(motion, number, torque[:, number], column, names), believed[number])
-        return found
+        signals = drive.signals(reading)
+        return {
+            number: explain(JointProblem(motion, number, signals.of(number), names), believed[number])
+            for number in movers
+        }
 
     def left(found: dict[int, JointMechanics]) -> float:
         return float(np.mean([(item.held_out.interleaved / item.held_out.torque) ** 2 for item in found.values()]))
@@ -388,11 +395,10 @@ def _understood(
             readings, first = [Reading(), *alike], plain
     results = {number: [first[number]] for number in movers}
     for reading in readings[1:]:
-        torque, error = drive.torque(reading), drive.error(reading) if drive.arithmetic else None
+        signals = drive.signals(reading)
         for number in movers:
             kept = [(share.effect.key, share.effect.shape) for share in first[number].shares]
-            column = None if error is None else error[:, number]
-            problem = JointProblem(motion, number, torque[:, number], column, names)
+            problem = JointProblem(motion, number, signals.of(number), names)
             results[number].append(explain(problem, believed[number], kept))
     return readings, results
 
@@ -404,7 +410,7 @@ def _plain_left(motion: Motion, torque: Array) -> list[tuple[float, float]]:
         if not motion.moves[joint]:
             found.append((float(np.std(torque[:, joint])), float("nan")))
             continue
-        problem = JointProblem(motion, joint, torque[:, joint], None)
+        problem = JointProblem(motion, joint, DriveSignals(torque[:, joint]))
         held_out = problem.held_out(problem.usual)
         found.append((held_out.torque, held_out.interleaved))
     return found

@@ -76,9 +76,7 @@ def joint_with_transmission(
     share = float(np.std(changed)) / max(before.torque, 1e-300)
     if ratio > THRESHOLDS.gives_way or size < THRESHOLDS.certain * std or share < THRESHOLDS.smallest_share:
         return None
-    torque, error = drive.torque(readings[0]), drive.error(readings[0]) if drive.arithmetic else None
-    column = None if error is None else error[:, number]
-    problem = JointProblem(item.motion, number, torque[:, number], column, log.joints)
+    problem = JointProblem(item.motion, number, drive.signals(readings[0]).of(number), log.joints)
     mechanics = explain(problem, values_in_model(joints[number]))
     after = mechanics.held_out
     if after.interleaved > min(before.interleaved, THRESHOLDS.unexplained * after.torque):
@@ -114,4 +112,4 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
         term = Term("elastic", "elastic transmission, stiffness", "N·m/rad", item.stiffness, item.stiffness_std, 0.0,
                     found.share, True, other)  # fmt: skip
     return replace(verdict, terms=(term, *verdict.terms), unchanged=plain.unchanged, plain=plain.plain,
-                   last_plain=plain.last_plain)  # fmt: skip
+                   last_plain=plain.last_plain, transmission=item)  # fmt: skip

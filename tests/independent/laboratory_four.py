@@ -108,7 +108,7 @@ def believed(links: list[dict[str, Any]], rng: Any) -> list[dict[str, Any]]:
     return found
 
 
-def _sizes(name: str, rng: Any) -> dict[str, float]:
+def sizes_of(name: str, rng: Any) -> dict[str, float]:
     """Sizes of a cause."""
     ranges: dict[str, dict[str, tuple[float, float]]] = {
         "coulomb": {"factor": (1.8, 3.0)}, "viscous": {"factor": (2.5, 4.0)}, "armature": {"factor": (2.0, 3.5)},
@@ -150,7 +150,7 @@ def draw(seed: int) -> tuple[str, str, list[Cause]]:
         if before % 2:
             fault = str(rng.choice(["speed_filter", "rows_repeated", "command_late"]))
             pairs[1] = (fault, -1)
-        return robot, kind, [Cause(name, joint, _sizes(name, rng)) for name, joint in pairs]
+        return robot, kind, [Cause(name, joint, sizes_of(name, rng)) for name, joint in pairs]
     names = {"effect": list(EFFECTS), "log": list(FAULTS), "unknown": list(UNKNOWN)}[kind]
     name = names[(7 * before) % len(names)]
     # A single joint and its mirror image move alike, so no log tells its sign.
@@ -163,7 +163,7 @@ def draw(seed: int) -> tuple[str, str, list[Cause]]:
         joint = 0
     if name in _SHARED:
         joint = -1
-    return robot, kind, [Cause(name, joint, _sizes(name, rng))]
+    return robot, kind, [Cause(name, joint, sizes_of(name, rng))]
 
 
 def make_case(folder: Path, seed: int) -> str:
@@ -180,7 +180,7 @@ def make_case(folder: Path, seed: int) -> str:
         nominal[by_name["wrap"].joint]["reach"] = 7.0
     model = believed(nominal, rng)
     links = [dict(link) for link in nominal]
-    _changed(links, causes)
+    changed_links(links, causes)
     chain = _chain(by_name, rng)
     command = _command(robot, by_name, chain, rng)
     kp, kd = (gains[: len(names)].copy() for gains in _GAINS)
@@ -197,13 +197,13 @@ def make_case(folder: Path, seed: int) -> str:
     if not chain.measured:
         columns.pop("tau")
     np.savez(case / "log.npz", **columns, kp=kp, kd=kd)
-    (case / "log.yaml").write_text(yaml.safe_dump(_sidecar(names, chain.measured), sort_keys=False))
+    (case / "log.yaml").write_text(yaml.safe_dump(sidecar_of(names, chain.measured), sort_keys=False))
     truth = {"kind": kind, "causes": [_as_truth(cause, names, links) for cause in causes]}
     (case / "truth.yaml").write_text(yaml.safe_dump(truth, sort_keys=False))
     return case.name
 
 
-def _changed(links: list[dict[str, Any]], causes: list[Cause]) -> None:
+def changed_links(links: list[dict[str, Any]], causes: list[Cause]) -> None:
     """Links with the causes that are values of theirs."""
     keys = {"coulomb": "coulomb", "viscous": "damping", "armature": "armature", "gravity": "mass"}
     for cause in causes:
@@ -252,7 +252,7 @@ def _with_sizes_of_motion(
     return found
 
 
-def _sidecar(names: tuple[str, ...], measured: bool) -> dict[str, Any]:
+def sidecar_of(names: tuple[str, ...], measured: bool) -> dict[str, Any]:
     sidecar: dict[str, Any] = {
         "robot_log": 1, "data": "log.npz", "joints": list(names), "time": {"column": "time"},
         "position": {"column": "q"}, "velocity": {"column": "dq"}, "command": {"position": "q_des"},

@@ -13,9 +13,12 @@ from robots.simulated_joint import log_columns, robot_file
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
-from nmt_robots.log_faults import velocity
+from nmt_robots.log.joint_log import JointLog
+from nmt_robots.log_faults import rows, velocity
+from nmt_robots.log_faults.drive import reading_findings
 from nmt_robots.mechanics import shared_reading
 from nmt_robots.mechanics.ladder import JointMechanics
+from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import Reading
 from nmt_robots.mechanics.shared_reading import ReadingScores
 from nmt_robots.thresholds import THRESHOLDS
@@ -100,3 +103,39 @@ def test_a_factor_of_a_speed_is_told_beyond_its_limit(tmp_path: Path, factor: fl
     np.savez(tmp_path / "log.npz", **columns)
     diagnosis = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")
     assert bool([finding for finding in diagnosis.findings if finding.key == "velocity_factor"]) is named
+
+
+@pytest.mark.parametrize(("lag_s", "named"), [(0.9 * THRESHOLDS.lag_s, False), (1.2 * THRESHOLDS.lag_s, True)])
+def test_a_delay_is_told_beyond_its_limit(lag_s: float, named: bool) -> None:
+    readings = tuple(Reading(torque_lag_s=lag) for lag in (0.0, 0.001, 0.002, 0.003))
+    relative = np.array([0.01 * (1.0 + ((reading.torque_lag_s - lag_s) / 5e-4) ** 2) for reading in readings])
+    scores = ReadingScores(readings, relative, np.tile(relative[:, None], (1, 4)), relative[:, None], 0.001)
+    assert bool([item for item in reading_findings(scores, 0.001) if item.key == "torque_lag"]) is named
+    assert THRESHOLDS.lag_s == 0.001
+
+
+@pytest.mark.parametrize(("lag_s", "both"), [(0.001, False), (0.002, True)])
+def test_a_delay_beyond_its_limit_widens_what_the_other_kind_says(lag_s: float, both: bool) -> None:
+    readings = (Reading(), Reading(torque_lag_s=lag_s), Reading(command_lag_s=lag_s))
+    relative = np.array([0.03, 0.01, 0.02])
+    scores = ReadingScores(readings, relative, np.tile(relative[:, None], (1, 4)), relative[:, None], 0.001)
+    assert (readings[2] in scores.fit_as_well()) is both
+
+
+@pytest.mark.parametrize(("mean_rows", "named"), [(1.4, False), (1.6, True)])
+def test_a_command_is_held_from_its_limit_on(mean_rows: float, named: bool) -> None:
+    assert THRESHOLDS.held_rows == 1.5
+    apart = np.tile(np.repeat([1, 2], np.rint([10 * (2 - mean_rows), 10 * (mean_rows - 1)]).astype(int)), 100)
+    command = np.repeat(np.arange(len(apart)), apart)[:, None].astype(float)
+    time = 0.002 * np.arange(len(command))
+    log = JointLog("log", ("elbow",), time, command, position_command=command)
+    assert bool([finding for finding in rows._command(log) if finding.key == "command_held"]) is named
+
+
+@pytest.mark.parametrize(("share", "judged"), [(0.11, True), (0.09, False)])
+def test_a_joint_is_judged_from_its_share_of_moving_rows_on(share: float, judged: bool) -> None:
+    assert THRESHOLDS.moving_rows == 0.1
+    moving = (np.arange(1000) < 1000 * share)[:, None]
+    still = np.zeros((1000, 1))
+    motion = Motion(0.002, 11, still, still, still, still, still, moving, np.zeros(1000, dtype=int))
+    assert bool(motion.moves[0]) is judged

@@ -1,0 +1,26 @@
+"""Logs of one joint under several gains agree where they name one cause and its sizes lie within their ±."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
+
+from independent.robot_gains import compared
+
+from nmt_robots.verdict.joint_verdict import Term
+
+
+def named(key: str, value: float) -> Term:
+    return Term(key, key, "N·m", value, 0.03, 0.0, 0.2, True)
+
+
+def test_sizes_of_one_cause_are_compared_in_pairs() -> None:
+    same, differences = compared([named("coulomb", 0.8), named("coulomb", 0.9), named("coulomb", 0.8)])
+    assert same
+    assert differences == pytest.approx([-0.1 / (0.03 * 2**0.5), 0.0, 0.1 / (0.03 * 2**0.5)])
+
+
+def test_silence_and_another_cause_are_not_the_same() -> None:
+    assert compared([named("coulomb", 0.8), None, named("coulomb", 0.8)]) == (False, pytest.approx([0.0]))
+    assert compared([named("coulomb", 0.8), named("spring", 0.8)]) == (False, [])

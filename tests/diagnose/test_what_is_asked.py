@@ -15,6 +15,7 @@ from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
+from nmt_diagnose.fit.own_chain import OwnChains
 from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
     Size,
@@ -152,6 +153,22 @@ def test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matt
     assert (small.stated, small.explanation, small.fitted) == ((), null.explanation, cubic.fitted)
     both = FittedExplanation((*cubic.candidates, cubic.candidates[0]), cubic.fit)
     assert needed(search.data, both, [null], wanted).stated == (0, 1)
+
+
+def test_a_chain_about_an_effect_does_not_stand_in_for_it() -> None:
+    """Without the effect the model is judged beside a measuring chain about itself."""
+    spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}
+    search, null = searched(real(MODEL, local_elements=[spring]))
+    cubic = search.singles(null, search.scores(null))[0]
+    wanted = DiagnosisSettings().matters
+    imitated = replace(null, fit=replace(null.fit, prediction=cubic.fit.prediction, errors=cubic.fit.errors))
+    assert needed(search.data, cubic, [imitated], wanted).stated == ()
+    own_chain = OwnChains(MODEL, search.data.observations, search.data, cubic.fitted)
+    data, alone = own_chain(imitated)
+    assert largest_left(data, alone, wanted) > 1.0
+    assert own_chain(imitated)[1] is alone
+    assert needed(search.data, cubic, [imitated], wanted, own_chain).stated == (0,)
+    assert own_chain(cubic)[1] is cubic
 
 
 def test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise() -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -208,8 +208,16 @@ def implausible_parameters(data: Data, found: FittedExplanation) -> tuple[tuple[
     return (Objection(parameters[worst].name, "", float(theta[worst])),), chance
 
 
+OwnChain = Callable[[FittedExplanation], tuple[Data, FittedExplanation]]
+"""Rows and chain about an explanation, and its fit to them."""
+
+
 def needed(
-    data: Data, found: FittedExplanation, simpler: Sequence[FittedExplanation], wanted: Mapping[str, float]
+    data: Data,
+    found: FittedExplanation,
+    simpler: Sequence[FittedExplanation],
+    wanted: Mapping[str, float],
+    own_chain: OwnChain | None = None,
 ) -> FittedExplanation:
     """An explanation with those of its effects marked as small that it does not need.
 
@@ -218,12 +226,13 @@ def needed(
         found: the explanation.
         simpler: fits that may have some of its effects only, the model alone among them.
         wanted: what matters, by kind.
+        own_chain: of simpler ones; None = they have the chain of ``data``.
     """
     causes, small, facts = set(found.fitted.causes), set(found.small), _beyond_ordinary(data, found)
     small |= {number for number, of_effect in facts.items() if not NEEDED(of_effect).passed}
     parts = [less for less in simpler if set(less.fitted.causes) < causes]
     for less in sorted(parts, key=lambda part: (len(part.candidates), -part.fit.log_evidence)):
-        beside = beside_simpler(data, found, less, wanted)
+        beside = beside_simpler(data, found, less, wanted, own_chain)
         added = {k for k, candidate in enumerate(found.candidates) if candidate.cause not in less.fitted.causes}
         if not pass_all(OF_EFFECTS, beside):
             small |= added
@@ -246,7 +255,13 @@ def _beyond_ordinary(data: Data, found: FittedExplanation) -> dict[int, Facts]:
     return result
 
 
-def beside_simpler(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:
+def beside_simpler(
+    data: Data,
+    more: FittedExplanation,
+    less: FittedExplanation,
+    wanted: Mapping[str, float],
+    own_chain: OwnChain | None = None,
+) -> Facts:
     """What the effects do that an explanation has more than another, as rules ask for it.
 
     The other leaves more than noise that matters, and their predictions differ; or it is that near only by parameters
@@ -255,16 +270,19 @@ def beside_simpler(data: Data, more: FittedExplanation, less: FittedExplanation,
     """
     numbers = [k for k, candidate in enumerate(more.candidates) if candidate.cause not in less.fitted.causes]
     loop = any(more.candidates[k].site.location.kind == "controller" for k in numbers)
-    left = largest_left(data, less, wanted, loop)
+    left, of_less, alone = largest_left(data, less, wanted, loop), data, less
+    if left < 1.0 and own_chain is not None:
+        of_less, alone = own_chain(less)
+        left = largest_left(of_less, alone, wanted, loop)
     if left >= 1.0:
-        change = data.forward.difference(more.fit.errors.values, less.fit.errors.values)
+        change = data.forward.difference(more.fit.errors.values, alone.fit.errors.values)
         return Facts(left_without=left, change=over(change_size(data, change), wanted))
     relieved = relief(data, more, less, wanted)
     if relieved.left_without < max(left, 1.0):
         return replace(relieved, left_without=max(left, relieved.left_without))
     if all(more.candidates[k].site.location.kind in _SENSORS for k in numbers):
         return relieved
-    return replace(relieved, left_within=left_within_belief(data, less, wanted, loop))
+    return replace(relieved, left_within=left_within_belief(of_less, alone, wanted, loop))
 
 
 def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:

@@ -15,6 +15,7 @@ from nmt_diagnose.fit.explanations import FittedExplanation, LeftOut, Score, bes
 from nmt_diagnose.fit.fitting import ChainErrors, Data, best_chain_errors
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import about, free_parameters, model_alone
+from nmt_diagnose.fit.own_chain import OwnChains
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.ledger.comparison import Comparison, Hypotheses, misfit, sources
 from nmt_diagnose.ledger.held_out import named_tests
@@ -41,6 +42,7 @@ class Standing:
         named: explanations that compete, the best first.
         left_out: explanations that were fitted and do not compete.
         elsewhere: of these, those with effects of a competitor, with how much more each leaves.
+        leader: the explanation that the errors of the chain are about.
     """
 
     search: Search
@@ -48,6 +50,7 @@ class Standing:
     named: tuple[FittedExplanation, ...]
     left_out: tuple[LeftOut, ...] = ()
     elsewhere: tuple[tuple[FittedExplanation, float], ...] = ()
+    leader: Explanation = Explanation(())
 
 
 @dataclass(frozen=True)
@@ -170,12 +173,13 @@ def find(
         standing = _about_best(standing, rig, observations, search.fitted(null, scores()[:1]))
     first_null, search, null, named = null, standing.search, standing.null, list(standing.named)
     data = search.data
-    named = [needed(data, explanation, [null, *named], settings.matters) for explanation in named]
+    own_chain = OwnChains(rig, observations, data, standing.leader)
+    named = [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in named]
     leading = Hypotheses(data, null, named, candidates, [], []).best
     if leading is not None and leading.small:
         # What is small is so beside every cause: rivals get it, too.
         more = search.with_small(leading, named)
-        named += [needed(data, explanation, [null, *named], settings.matters) for explanation in more]
+        named += [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in more]
     beside = sources(data, null, len(parameters))
     best_named = Hypotheses(data, null, named, candidates, beside, []).best
     behind = sources(data, best_named, len(parameters)) if best_named is not None else []
@@ -241,7 +245,7 @@ def _about_best(
     named = best_of(found)
     if not named or named[0].fit.log_evidence <= standing.null.fit.log_evidence:
         return replace(standing, named=tuple(named))
-    before = standing.search
+    before, leader = standing.search, named[0].fitted
     data = about(rig, observations, named[0].fit, before.data.used)
     search = Search(data, rig, before.parameters, before.candidates, before.tell)
     search.lost |= before.lost
@@ -257,7 +261,8 @@ def _about_best(
     named = [*near, *more]
     # A second effect that says nothing may have led the first on to its optimum.
     named = best_of([*named, *search.pruned(named)])
-    return Standing(search, null, tuple(named), (*standing.left_out, *left_out), (*standing.elsewhere, *elsewhere))
+    left_out, elsewhere = [*standing.left_out, *left_out], [*standing.elsewhere, *elsewhere]
+    return Standing(search, null, tuple(named), tuple(left_out), tuple(elsewhere), leader)
 
 
 def _competing(standing: Standing, found: Sequence[FittedExplanation]) -> Standing:

@@ -18,7 +18,6 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from nmt_bench.orchestration.bench_domain import BenchDomain
-from nmt_core.nodes.shared_memory import remove_dead_segments
 
 pytest_plugins = ("tiers",)
 TESTS = Path(__file__).resolve().parent
@@ -59,12 +58,6 @@ def pytest_unconfigure(config: pytest.Config) -> None:
     folder = config.stash.get(_LOG_FOLDER, None)
     if folder is not None:
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Nodes that tests kill leave shared memory behind; under xdist the controller clears it for all."""
-    if not hasattr(session.config, "workerinput"):
-        remove_dead_segments()
 
 
 @pytest.fixture

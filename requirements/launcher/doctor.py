@@ -7,7 +7,6 @@ import ctypes.util
 import glob
 import json
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -89,21 +88,6 @@ class Findings:
         sys.stdout.flush()
 
 
-def stale_shared_memory() -> list[str]:
-    """Shared-memory files of Fast DDS that no process has open and that this user could remove."""
-    used = set()
-    for maps in glob.glob("/proc/[0-9]*/maps"):
-        with contextlib.suppress(OSError), open(maps, errors="replace") as file:
-            used.update(re.findall(r"/dev/shm/(\S+)", file.read()))
-    for link in glob.glob("/proc/[0-9]*/fd/*"):
-        with contextlib.suppress(OSError):
-            target = os.readlink(link)
-            if target.startswith("/dev/shm/"):
-                used.add(os.path.basename(target))
-    found = glob.glob("/dev/shm/fastrtps_*") + glob.glob("/dev/shm/sem.fastrtps_*")
-    return [f for f in found if os.path.basename(f) not in used and os.access(f, os.W_OK)]
-
-
 def examine_machine(findings: Findings, source: str, state: dict[str, Any]) -> None:
     """Checks that need no set-up."""
     try:
@@ -127,23 +111,6 @@ def examine_machine(findings: Findings, source: str, state: dict[str, Any]) -> N
         findings.ok(f"disk: {free:.0f} GB free")
     elif not any("GB free" in sentence for sentence in troubles):
         findings.fix(f"disk: only {free:.2f} GB free, a long run's bag may not fit: make room.")
-    if not os.path.isdir("/dev/shm"):
-        findings.fix("/dev/shm is missing; the nodes exchange samples through it: mount a tmpfs there.")
-    else:
-        size = shutil.disk_usage("/dev/shm")
-        line = f"/dev/shm: {size.free / 1e6:.0f} MB free of {size.total / 1e6:.0f} MB"
-        if size.free < 64e6:
-            findings.fix(line + ", the nodes need 64 MB: enlarge it (containers: --shm-size=256m).")
-        else:
-            findings.ok(line)
-        stale = stale_shared_memory()
-        if stale:
-            findings.note(
-                f"/dev/shm holds {len(stale)} files that ended ROS 2 processes left: harmless while there "
-                "is room; with no ROS 2 program running they can go, 'rm /dev/shm/*fastrtps_*'"
-            )
-        else:
-            findings.ok("no shared memory left by ended processes")
 
 
 def examine_hardware(findings: Findings) -> None:

@@ -29,30 +29,30 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
 
 
 def test_a_sound_computer_is_taken(tmp_path: Path, limits: list[tuple[int, int]]) -> None:
-    check_surroundings(tmp_path / "out", tmp_path)
+    check_surroundings(tmp_path / "out")
     assert limits == [(1024, 4096)]
 
 
 def test_the_limit_of_open_files_is_raised_where_it_may_be(tmp_path: Path, limits: list[tuple[int, int]]) -> None:
     limits.append((24, 4096))
-    check_surroundings(tmp_path / "out", tmp_path)
+    check_surroundings(tmp_path / "out")
     assert limits[-1] == (1024, 4096)
     limits.append((24, 500))
-    check_surroundings(tmp_path / "out", tmp_path)
+    check_surroundings(tmp_path / "out")
     assert limits[-1] == (500, 500)
 
 
 def test_too_few_open_files_are_refused(tmp_path: Path, limits: list[tuple[int, int]]) -> None:
     limits.append((24, 24))
     with pytest.raises(BenchError, match=rf"24 open files and the nodes need {LEAST_FILES}.*ulimit -n"):
-        check_surroundings(tmp_path / "out", tmp_path)
+        check_surroundings(tmp_path / "out")
 
 
 def test_too_little_address_space_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(resource, "getrlimit", lambda _: (700 * 2**20, 700 * 2**20))
     monkeypatch.setattr(resource, "setrlimit", lambda *_: None)
     with pytest.raises(BenchError, match=r"700 MiB of address space and the nodes need 2048; .*ulimit -v unlimited"):
-        check_surroundings(tmp_path / "out", tmp_path)
+        check_surroundings(tmp_path / "out")
 
 
 @pytest.mark.parametrize("error", [MemoryError(), RuntimeError("pthread_create failed"), ImportError("failed to map")])
@@ -79,25 +79,13 @@ def test_a_deleted_results_folder_is_one_sentence(tmp_path: Path, live: bool, fa
         folder.__exit__(None if failure is None else type(failure), failure, None)
 
 
-def test_shared_memory_that_cannot_be_written_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: list[tuple[int, int]]
-) -> None:
-    with pytest.raises(BenchError, match=r"Shared memory .*nowhere"):
-        check_surroundings(tmp_path / "out", tmp_path / "nowhere")
-    allowed = os.access
-    monkeypatch.setattr(os, "access", lambda path, mode: path != tmp_path / "shm" and allowed(path, mode))
-    (tmp_path / "shm").mkdir()
-    with pytest.raises(BenchError, match="remount,rw"):
-        check_surroundings(tmp_path / "out", tmp_path / "shm")
-
-
 def test_a_disk_without_space_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: list[tuple[int, int]]
 ) -> None:
     usage = type("usage", (), {"free": 4096})
     monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
     with pytest.raises(BenchError, match=r"0\.0 MB are free in .*less than 16 MB; choose another folder with --out"):
-        check_surroundings(tmp_path / "out", tmp_path)
+        check_surroundings(tmp_path / "out")
 
 
 @pytest.mark.parametrize(

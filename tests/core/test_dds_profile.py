@@ -61,10 +61,10 @@ def test_benches_and_their_nodes_load_it() -> None:
     assert environment["ROS_DOMAIN_ID"] == "7"
 
 
-def test_only_loopback_and_shared_memory_are_bound() -> None:
+def test_only_loopback_is_bound() -> None:
     text = PROFILE.read_text()
     assert addresses(text, WHITE_LIST) == ["127.0.0.1"]
-    assert sorted(addresses(text, ".//d:transport_descriptor/d:type")) == ["SHM", "UDPv4"]
+    assert addresses(text, ".//d:transport_descriptor/d:type") == ["UDPv4"]
     assert addresses(text, ".//d:participant/d:rtps/d:useBuiltinTransports") == ["false"]
     ids = addresses(text, ".//d:transport_descriptor/d:transport_id")
     assert addresses(text, ".//d:participant/d:rtps/d:userTransports/d:transport_id") == ids

@@ -19,9 +19,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from node.signal_trials import PATIENCE, hear_signals, runs, shared_memory, stays
+from node.signal_trials import PATIENCE, hear_signals, runs, shared_memory
 
-from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_session.node_plan import NODES
 
 LAUNCHER, LOADER = "launcher", "loader"
@@ -77,12 +76,10 @@ def trial(mark: str, victim: str, moment: float) -> tuple[str, list[str]]:
         processes = marked(mark)
         chosen = [process for process, name in processes.items() if name == victim]
         if chosen and time.monotonic() >= end:
-            segments = shared_memory(list(processes))
+            faults += [f"shared memory: {name}" for name in shared_memory(list(processes))]
             os.kill(chosen[0], signal.SIGKILL)
             killed = victim
             break
-    else:
-        segments = set()
     said, _ = command.communicate(timeout=PATIENCE)
     end = time.monotonic() + _PATIENCE
     while (left := marked(mark)) and time.monotonic() < end:
@@ -90,13 +87,11 @@ def trial(mark: str, victim: str, moment: float) -> tuple[str, list[str]]:
     for process, name in left.items():
         faults.append(f"left: {name} {process}")
         os.kill(process, signal.SIGKILL)
-    faults += [f"left: {name}" for name in stays(segments)]
     if "Traceback" in said or "should not have happened" in said:
         faults.append(said.strip().splitlines()[-1])
     wanted = (-signal.SIGKILL,) if killed == LAUNCHER else (1, 2)
     if command.returncode not in wanted:
         faults.append(f"exit code {command.returncode}: {said.strip()[-300:]}")
-    remove_dead_segments()
     folder.cleanup()
     return killed, faults
 

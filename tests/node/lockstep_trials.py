@@ -38,7 +38,6 @@ from node.signal_trials import hear_signals
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.wire import MODAL_POINT
-from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
@@ -107,7 +106,6 @@ def leftovers(mark: str) -> list[str]:
         time.sleep(0.05)
     for process in left:
         os.kill(process, signal.SIGKILL)
-    remove_dead_segments()
     return [f"left: {name} {process}" for process, name in left.items()]
 
 

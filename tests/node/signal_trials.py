@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import fcntl
 import os
 import queue
 import shutil
@@ -27,7 +26,6 @@ import numpy as np
 
 from nmt_bench.orchestration.bench_domain import BenchDomain
 from nmt_core.errors import BenchError
-from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES
 
@@ -38,7 +36,6 @@ PACINGS = ("realtime", "lockstep")
 PATIENCE = 180.0  # s of wall time; a run that hangs is a failure, a slow computer is none
 LONGEST = 30.0  # s from a signal to the end of all processes
 MEMORY = Path("/dev/shm")
-BETWEEN_LOOKS = 1.0  # s
 _POLL = 0.02
 
 
@@ -69,7 +66,7 @@ class Outcome:
         code: exit code of the run command.
         said: what it printed.
         last_voltage: largest magnitude of the last voltage block in the bag, V; NaN where the bag does not open.
-        left: processes and files in shared memory that stayed.
+        left: processes that stayed, and shared memory, of which a killed process could hold locks.
         fault: why there was no trial.
     """
 
@@ -140,51 +137,14 @@ def runs(process: int) -> bool:
     return state != "Z"
 
 
-def shared_memory(processes: list[int]) -> set[str]:
-    """Names of the segments that processes have mapped."""
+def shared_memory(processes: list[int]) -> list[str]:
+    """Names of the segments that processes have mapped; the tracer's, one a computer, are nobody's."""
     names: set[str] = set()
     for process in processes:
-        try:
-            words = Path(f"/proc/{process}/maps").read_text().split()
-        except OSError:
-            continue
-        names.update(Path(word).name for word in words if word.startswith(f"{MEMORY}/"))
-    return names
-
-
-def is_locked(path: Path) -> bool:
-    """Whether a living owner holds the lock of its segment; ports are taken in turn by all benches of a computer."""
-    with contextlib.suppress(OSError), open(path, "rb+") as file:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return False
-    return path.exists()
-
-
-def unused(segments: set[str]) -> dict[str, int]:
-    """What of segments, their locks included, is there and used by nobody: name -> number of the file."""
-    segments = {name for name in segments if not name.startswith("lttng-ust-wait")}  # the tracer's, one a computer
-    remains = {}
-    for path in MEMORY.iterdir():
         with contextlib.suppress(OSError):
-            if any(name in path.name for name in segments):
-                remains[path.name] = path.stat().st_ino
-    in_use = shared_memory([int(path.name) for path in Path("/proc").glob("[0-9]*")])
-    in_use.update(path.name.removesuffix("_el") for path in MEMORY.glob("*_el") if is_locked(path))
-    return {name: file for name, file in remains.items() if not any(used in name or name in used for used in in_use)}
-
-
-def stays(segments: set[str]) -> list[str]:
-    """What of segments is left: the same file, used by nobody in two looks.
-
-    One look does not tell. Benches of other domains take the same ports, and one of them may give a port up after the
-    look at the files and before the look at who uses them.
-    """
-    first = unused(segments)
-    if not first:
-        return []
-    time.sleep(BETWEEN_LOOKS)
-    second = unused(segments)
-    return sorted(name for name, file in first.items() if second.get(name) == file)
+            words = Path(f"/proc/{process}/maps").read_text().split()
+            names.update(Path(word).name for word in words if word.startswith(f"{MEMORY}/"))
+    return sorted(name for name in names if not name.startswith("lttng-ust-wait"))
 
 
 def voltage_at_the_end(bag: Path) -> float:
@@ -225,7 +185,7 @@ def attempt(trial: Trial, out: Path, domain: int | None = None) -> Outcome:
         nodes = node_processes(command.pid)
         assert set(nodes) == set(NODES), f"only {sorted(nodes)} run"
         started = descendants(command.pid)
-        segments = shared_memory([command.pid, *started])
+        outcome.left += shared_memory([command.pid, *started])
         struck = time.monotonic()
         os.kill(command.pid if trial.victim == LAUNCHER else nodes[trial.victim], getattr(signal, f"SIG{trial.name}"))
         if trial.victim == LAUNCHER and trial.name == "STOP":
@@ -236,7 +196,6 @@ def attempt(trial: Trial, out: Path, domain: int | None = None) -> Outcome:
         outcome.said, _ = command.communicate(timeout=PATIENCE)
         wait_until(lambda: not any(map(runs, started)), f"left: {nodes}")
         outcome.end_s = time.monotonic() - struck
-        outcome.left += stays(segments)
         outcome.last_voltage = voltage_at_the_end(out / "bag")
     except (AssertionError, subprocess.TimeoutExpired) as error:
         outcome.fault = str(error)
@@ -247,7 +206,6 @@ def attempt(trial: Trial, out: Path, domain: int | None = None) -> Outcome:
                 outcome.left.append(f"process {process}")
         outcome.said += command.communicate()[0] or ""
         outcome.code = command.returncode
-        remove_dead_segments()
     return outcome
 
 

@@ -118,7 +118,7 @@ class Wire:
             if not name.startswith(("FAST", "RMW_FASTRTPS", "ROS_AUTOMATIC", "ROS_STATIC", "ROS_LOCALHOST"))
         }
         settings.update({"ROS_DOMAIN_ID": str(DOMAIN), **environment})
-        # The host's shared memory would let the two ends meet where two hosts cannot.
+        # A node with other settings uses shared memory, by which the two ends would meet where two hosts cannot.
         memory = "mount -t tmpfs none /dev/shm; " if where == self.stranger else ""
         command = ["ip", "netns", "exec", where, "sh", "-c", memory + 'exec "$@"', "sh"]
         return subprocess.Popen(

@@ -7,7 +7,7 @@
 0.0051
 
 Nodes live in this process (fast, one thread) or each in a process of its own (as on a lab PC). Leaving the ``with``
-block ends them whatever happened; no process, no shared memory and, without ``out``, no file stays behind.
+block ends them whatever happened; no process and, without ``out``, no file stays behind.
 """
 
 from __future__ import annotations
@@ -48,7 +48,6 @@ from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.wire import MODAL_POINT
 from nmt_core.nodes.link import Link, serve
 from nmt_core.nodes.liveness import HANG_LIMIT
-from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_core.nodes.transport import LINK_PERIOD
 from nmt_core.processes.memory import calm_collector
 from nmt_core.processes.output_record import drive_sentence
@@ -68,7 +67,6 @@ _RESEND = 1.5  # s without an answer after which the goal, or the wish for its r
 _STILL = HANG_LIMIT + 15.0  # s without progress of the recorder after which its bag stays open
 _NOTE_AFTER = 5.0  # s that a run is held up, or the recorder writes on, before it is said, and between two notes
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
-_LAST_MEMORY = 1.5  # s that shared memory of a killed node is waited for, to be cleared away
 _LATE_DEATH = 1.5  # s after a result of a lost node in which that may be seen here, too
 
 
@@ -145,8 +143,6 @@ class Bench:
             self.out = self._out
             check_surroundings(self.out)
             self.out.mkdir(parents=True, exist_ok=True)
-        if self.use_processes:
-            self._cleanup.callback(remove_dead_segments, patience=_LAST_MEMORY, ending=True)
         domain = BenchDomain(self._domain_id)
         self._cleanup.callback(domain.close)
         self.domain_id = domain.id

@@ -34,12 +34,10 @@ from nmt_core.messages.run_announcement import TAKEN_TOPICS, TELL_EVERY
 from nmt_core.messages.wire import NodeStatus, read_diagnostics, write_diagnostics
 from nmt_core.nodes.heartbeat import HEARTBEAT_PERIOD, Heartbeat
 from nmt_core.nodes.identity import Identity
-from nmt_core.nodes.launcher_watch import LauncherWatch
 from nmt_core.nodes.link import Link, serve, serve_late
 from nmt_core.nodes.liveness import READY, Liveness
 from nmt_core.nodes.node_settings import NodeSettings
 from nmt_core.nodes.parameters import Parameter
-from nmt_core.nodes.shared_memory import remove_dead_segments
 from nmt_core.nodes.transport import LINK_PERIOD, Outlet, Transport
 from nmt_core.processes.memory import calm_collector, return_large_memory
 from nmt_core.settings import parameters_of, settings_of, values_of
@@ -61,7 +59,6 @@ STATE_QOS = QoSProfile(
 _SPIN_LIMIT = 0.1  # s; a request to end waits so long
 _END_GRACE = 4.0  # s that a node gets to take its part of a run to an end
 _LONGEST_WORK = 10.0  # s that a node gets in real time while it still works off what it was sent
-_LAST_MEMORY = 1.5  # s that shared memory of killed nodes is waited for, to be cleared away
 _HURRY = 1.0  # s after which a second request to end is not the echo of the first
 _INSTANCES = itertools.count(1)
 _LOOK_BEATS = 4  # heartbeats between two looks of a node at work for publishers that do not belong here
@@ -521,5 +518,3 @@ def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -
                     executor.shutdown()
                 node.destroy_node()
             rclpy.try_shutdown()
-            # Where a program has started the nodes and lives, it clears away what they leave.
-            remove_dead_segments(patience=0.0 if LauncherWatch().lives else _LAST_MEMORY, ending=True)

@@ -1,6 +1,6 @@
 """The bench's transport: settings of the middleware that cannot be made through rclpy.
 
-The profile ``fastdds.xml`` binds loopback and shared memory only, so nobody on the network reaches a node. A bench on
+The profile ``fastdds.xml`` binds loopback only, so nobody on the network reaches a node. A bench on
 two hosts has a profile of its own, in which both hosts are named: ``python3 -m nmt_core.dds_profile`` writes it.
 """
 
@@ -138,7 +138,7 @@ def two_host_profile(own_address: str, peers: Sequence[str]) -> str:
         peers: addresses of the other hosts.
 
     Returns:
-        XML: sockets on loopback, on ``own_address`` and in shared memory; discovery asks this host and ``peers``.
+        XML: sockets on loopback and on ``own_address``; discovery asks this host and ``peers``.
 
     Raises:
         BenchError: an address is none, or is one of all interfaces or of many hosts.

@@ -1,1 +1,1 @@
-"""What the harness starts and cleans up: domains, processes, shared memory."""
+"""What the harness starts and cleans up: domains and processes."""

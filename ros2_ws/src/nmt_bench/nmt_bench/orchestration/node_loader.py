@@ -44,7 +44,6 @@ PREPARED = (
     "nmt_core.nodes.launcher_watch",
     "nmt_core.nodes.link",
     "nmt_core.nodes.liveness",
-    "nmt_core.nodes.shared_memory",
     "nmt_core.nodes.transport",
     "nmt_core.processes.memory",
     "nmt_plant.devices.guarded_device",

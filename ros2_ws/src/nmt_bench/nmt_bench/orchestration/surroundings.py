@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import resource
 from pathlib import Path
 
@@ -16,17 +15,16 @@ _LEAST_FREE_MB = 16
 _LEAST_ADDRESSES = 2**31  # bytes; a process of the bench maps 1.5 GB
 
 
-def check_surroundings(out: Path, shared_memory: Path = Path("/dev/shm")) -> None:
+def check_surroundings(out: Path) -> None:
     """Refuse to start nodes where they could not work.
 
     The limit of open files is raised as far as the user may raise it.
 
     Args:
         out: folder of the results.
-        shared_memory: where shared memory lives.
 
     Raises:
-        BenchError: too few open files, too little address space, no shared memory, or no space for results.
+        BenchError: too few open files, too little address space, or no space for results.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft != resource.RLIM_INFINITY and soft < _WANTED_FILES:
@@ -42,11 +40,6 @@ def check_surroundings(out: Path, shared_memory: Path = Path("/dev/shm")) -> Non
         raise BenchError(
             f"This shell gives a process {addresses / 2**20:.0f} MiB of address space and the nodes need "
             f"{_LEAST_ADDRESSES / 2**20:.0f}; raise the limit with 'ulimit -v unlimited'."
-        )
-    if not shared_memory.is_dir() or not os.access(shared_memory, os.W_OK | os.X_OK):
-        raise BenchError(
-            f"Shared memory ({shared_memory}) cannot be written, and the nodes talk through it; mount it so, for "
-            f"example with 'mount -o remount,rw {shared_memory}'."
         )
     why = why_unwritable(out / "bag", _LEAST_FREE_MB)
     if why:

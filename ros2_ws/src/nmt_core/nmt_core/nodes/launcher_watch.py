@@ -27,11 +27,6 @@ class LauncherWatch:
         self.process, self._longest = process, longest
         self._since: float | None = None
 
-    @property
-    def lives(self) -> bool:
-        """Whether a program has started this process as a node, and has not ended."""
-        return self.process is not None and state_of(self.process) not in ("", "Z")
-
     def complaint(self, now: float | None = None) -> str:
         """A sentence once the program has been stopped for too long; empty before, and where no program is known.
 

@@ -474,9 +474,12 @@ def test_what_the_twin_does_not_cover_is_said():
     rig = chain()
     test, table = locked(rig, [level(0.5, 24.0)], "x1")
     forward = Forward([test], rows_of(table))
-    brake = {"kind": "eddy_brake", "point": 1, "damping_ns_m": 1.0, "critical_velocity_m_s": 1.0}
-    with pytest.raises(BenchError, match="eddy_brake"):
-        forward.predict(chain(local_elements=[brake]))
+    backlash = {"kind": "backlash_damper", "point": 1, "stiffness_n_m": 1.0, "damping_ns_m2": 1.0, "gap_m": 1e-4}
+    bristles = {"coulomb_force_n": 1.0, "static_force_n": 1.0, "stribeck_velocity_m_s": 1.0}
+    lugre = {"kind": "lugre", "point": 1, "bristle_stiffness_n_m": 1.0, **bristles}
+    for element in (backlash, lugre):
+        with pytest.raises(BenchError, match=element["kind"]):
+            forward.predict(chain(local_elements=[element]))
     loose = [{"quantity": "force"}, {"quantity": "displacement", "point": 1, "dead_zone": 1e-5}]
     with pytest.raises(BenchError, match="dead_zone"):
         forward.predict(chain(sensors=loose))

@@ -7,6 +7,7 @@ import pytest
 
 from nmt_diagnose.prediction.local_tables import local_tables
 from nmt_diagnose.prediction.record_kernel import SteppedModel, _step_all, _step_one, step_through
+from nmt_diagnose.prediction.timed_elements import no_timed_elements
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
 from nmt_rig.model.local_elements.dampers import AmplitudeDamper, PowerLawDamper
@@ -58,7 +59,7 @@ def test_one_coordinate_is_the_general_case(name: str, substeps: int) -> None:
     tables = local_tables([ELEMENTS[name]], FourierBasis.up_to(1), 16)
     model, factor = oscillators(), np.zeros(3)
     start = np.array([1e-3 + 2e-3j, -5e-4j])
-    general = _step_all(drive, substeps, 1, model, factor, tables.elements, start)
+    general = _step_all(drive, substeps, 1, model, factor, tables.elements, no_timed_elements(1), start)
     one = _step_one(drive, substeps, model, tables.elements, start)
     assert one.shape == (2, 3000 // substeps)
     # Sums run in another order; where an iteration ends, that may be a step earlier or later.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -136,7 +137,7 @@ def test_a_strength_that_follows_a_channel_is_told_with_it(tmp_path: Path, case:
     assert abs(following.coefficient - slope) < 4.0 * following.std
     sentences = " ".join(law_sentences(reading, True))
     assert f"{'grows' if slope > 0.0 else 'falls'} with the {channel}: " in sentences
-    assert "No element there follows a channel" in sentences
+    assert f"Its elements follow the {channel} of a record" in sentences
     ((_, low, high),) = law.valid_between
     (middle,) = law.at_middle
     assert middle.coefficient == pytest.approx(constant + slope * 0.5 * (low + high), rel=0.05)
@@ -180,6 +181,16 @@ def test_a_law_comes_back_from_the_file_that_has_it(tmp_path: Path, words: str) 
         assert term.kind == other.kind
         assert term.coefficient == pytest.approx(other.coefficient, rel=0.03)
     assert all(element.valid_to_m == pytest.approx(law.valid_to_m, rel=0.01) for element in elements)
+
+
+def test_a_law_whose_file_predicts_worse_is_not_written(tmp_path: Path) -> None:
+    reading = reading_of(tmp_path, LAWS["hardening spring"][0])
+    assert reading.closed_by_file > 0.9
+    assert reading.is_written
+    worse = replace(reading, closed_by_file=-0.1)
+    assert worse.is_stated
+    assert not worse.is_written
+    assert "It is not written to the rig file" in " ".join(law_sentences(worse, False))
 
 
 def test_a_healthy_record_has_no_law(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from nmt_rig.model.local_elements.contacts import AnyContact, TwoSidedGap, Unila
 from nmt_rig.model.local_elements.dampers import (
     AmplitudeDamper,
     AnyDamper,
+    EddyBrake,
     LinearDamper,
     PolynomialDamper,
     PowerLawDamper,
@@ -172,6 +173,7 @@ DIFFERENTIATED: dict[str, list[LocalElement]] = {
     "drag": [QuadraticDrag(D, 1.5), LinearDamper(D, 0.3)],
     "tanh": [TanhFriction(D, 1.0, 0.5)],
     "dampers": [AmplitudeDamper(D, 1.5), PowerLawDamper(D, 0.7, 2.6)],
+    "brake": [EddyBrake(D, 1.5, 0.7)],
     "self-excited": [PolynomialDamper(D, -0.5, 1.5, 0.3), StribeckBelt(D, 0.4, 1.0, 4.0, 1.5)],
 }
 

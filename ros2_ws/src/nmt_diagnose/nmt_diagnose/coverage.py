@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
 from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import TestKind
+from nmt_rig.rig import Rig
+
+if TYPE_CHECKING:
+    from nmt_diagnose.measurements.measurement import Measurement
 
 _NOT_PREDICTED = {
     TestKind.SWEEP: "a swept response is no steady state",
@@ -35,3 +42,18 @@ def covers(test: DrivenTest) -> str:
             "phase resonance, random tests or ring-downs."
         )
     return ""
+
+
+def refuse_unbalanced(model: Rig, tests: Sequence[Measurement]) -> None:
+    """Refuse what is predicted as periodic where an element of the model is only stepped through records.
+
+    Raises:
+        BenchError: a test is no record and the model has such an element.
+    """
+    kinds = [section.kind_name() for section in model.local_elements if section.without_harmonic_balance]
+    others = [test for test in tests if not test.over_time]
+    if kinds and others:
+        raise BenchError(
+            f"{others[0].name} is a {others[0].WORDS}, and the diagnosis' model balances no {kinds[0]} over a period; "
+            "give records, or leave the element out of the model."
+        )

@@ -32,7 +32,7 @@ def model_text(text: str, name: str, given: Rig, model: Rig, diagnosis: Diagnosi
     Raises:
         BenchError: ``text`` is no rig file.
     """
-    if diagnosis.verdict is Verdict.UNKNOWN and not (diagnosis.law is not None and diagnosis.law.is_stated):
+    if diagnosis.verdict is Verdict.UNKNOWN and not (diagnosis.law is not None and diagnosis.law.is_written):
         model = given
     lines = assumptions(given, model, diagnosis)
     target = model.model_copy(update={"assumptions": [*model.assumptions, *lines]})

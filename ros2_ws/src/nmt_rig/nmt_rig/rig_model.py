@@ -128,18 +128,22 @@ def build_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
     Those on the side of the exciter and attachments are not among them.
     """
     return tuple(
-        e for section in rig.local_elements if section.side == "structure" for e in section.elements(structure)
+        e
+        for section in rig.local_elements
+        if section.side == "structure"
+        for e in section.unmodulated.elements(structure)
     )
 
 
 def build_exciter_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:
     """Local elements on the side of the exciter, on the degrees of freedom of the structure."""
-    return tuple(e for section in rig.local_elements if section.side == "exciter" for e in section.elements(structure))
+    return tuple(e for s in rig.local_elements if s.side == "exciter" for e in s.unmodulated.elements(structure))
 
 
 def build_attachments(rig: Rig, structure: Structure) -> tuple[Attachment, ...]:
     """Attachments of a rig: local elements with unknowns of their own."""
-    return tuple(s.attachment(structure) for s in rig.local_elements if isinstance(s, AttachmentSection))
+    sections = (section.unmodulated for section in rig.local_elements)
+    return tuple(s.attachment(structure) for s in sections if isinstance(s, AttachmentSection))
 
 
 def build_resting_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:

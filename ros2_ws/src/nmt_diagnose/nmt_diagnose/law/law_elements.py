@@ -1,4 +1,8 @@
-"""A law as local elements of a rig file: a sum at one place, passive where its strengths are not negative."""
+"""A law as local elements of a rig file: a sum at one place, passive where its strengths are not negative.
+
+A strength that follows a channel is that of an element that is ``modulated_by`` it, about the middle of what was
+visited.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +23,22 @@ def element_of(term: LawTerm, law: LocalLaw) -> ElementSection | None:
     keys: dict[str, Any] = {"point": law.point, **found.values(term.coefficient)}
     if law.other_point:
         keys["other_point"] = law.other_point
+    for other in law.terms:
+        if other.by and (other.kind, other.parameters) == (term.kind, term.parameters) and term.coefficient:
+            low, high = next((low, high) for name, low, high in law.valid_between if name == other.by)
+            keys["modulated_by"], keys["modulated_at"] = other.by, 0.5 * (low + high)
+            keys["modulated_share"] = other.coefficient / term.coefficient
     return found.section.model_construct(kind=found.section.kind_name(), valid_to_m=law.valid_to_m, **keys)
 
 
 def with_law(rig: Rig, reading: LawReading) -> Rig:
     """The rig with the laws of a reading as local elements; terms that no kind of element has are left out."""
-    for law in reading.laws:
+    return with_laws(rig, reading.laws)
+
+
+def with_laws(rig: Rig, laws: Sequence[LocalLaw]) -> Rig:
+    """As :func:`with_law`, of some laws."""
+    for law in laws:
         for term in law.at_middle:
             element = element_of(term, law)
             if element is not None:

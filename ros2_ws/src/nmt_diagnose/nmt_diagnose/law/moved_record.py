@@ -8,6 +8,7 @@ model. A force that does not change is no law: it is a preload or the zero of th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -27,7 +28,6 @@ from nmt_rig.rig import Rig
 
 _PARTS = 10
 _ROWS = 2500  # of all records together
-POSITION = "displacement"
 _STEP = 1e-3  # of a logarithm, for differences
 
 
@@ -39,6 +39,8 @@ class MovedRecord:
         test: of the record.
         x, v: its motion, m and m/s, (1, n).
         parts: samples of the motion at which each part has a row, ascending.
+        rows: of all parts.
+        measured: force at these, N.
         missing: measured force less that of the model at these, N.
         sigma: standard deviation of each, N.
         errors: what a standard deviation of each error of chain and model adds, N.
@@ -49,6 +51,8 @@ class MovedRecord:
     x: FloatArray
     v: FloatArray
     parts: tuple[IntArray, ...]
+    rows: Rows
+    measured: FloatArray
     missing: tuple[FloatArray, ...]
     sigma: tuple[FloatArray, ...]
     errors: dict[str, tuple[FloatArray, ...]]
@@ -90,11 +94,18 @@ class MovedRecord:
         missing = test.force[samples] - base
         return cls(
             test, test.motion[:1], test.motion[1:2],
-            tuple(factor * samples[piece] for piece in pieces), tuple(missing[piece] for piece in pieces),
+            tuple(factor * samples[piece] for piece in pieces), dense, test.force[samples],
+            tuple(missing[piece] for piece in pieces),
             tuple(sigma[piece] for piece in pieces),
             {name: tuple(column[piece] for piece in pieces) for name, column in errors.items()},
-            {POSITION: test.motion[:1], **{name: values[np.newaxis] for name, values in test.followed.items()}},
+            {name: values[np.newaxis] for name, values in test.signals.items()},
         )  # fmt: skip
+
+    def left_by(self, rig: Rig) -> list[FloatArray]:
+        """What another rig leaves of the force of each part, by the prediction that a diagnosis makes with it, N."""
+        settings = PredictionSettings()
+        values = self.test.predictor(self.rows, settings).values(rig, PartsCache(settings), ())
+        return np.split(self.measured - values, np.cumsum([part.size for part in self.parts])[:-1])
 
     def force(self, term: Term) -> FloatArray:
         """Force of a term of unit strength at all samples, N, (n,)."""
@@ -163,6 +174,19 @@ class MovedRecords:
     def v(self) -> FloatArray:
         """Velocity at the rows, m/s, (1, n)."""
         return np.concatenate([record.v[:, record.parts[part]] for record, part in self._parts()], axis=1)
+
+    def left_by(self, rig: Rig, parts: Sequence[int]) -> float:
+        """rms of what another rig leaves of some parts, in standard deviations, but for constants of the records."""
+        forces = [record.left_by(rig) for record in self.records]
+        squares = rows = 0.0
+        for k, record in enumerate(self.records):
+            here = [part for number, part in (self.part_of[p] for p in parts) if number == k]
+            if here:
+                left = np.concatenate([forces[k][part] for part in here])
+                sigma = np.concatenate([record.sigma[part] for part in here])
+                left = left - np.average(left, weights=sigma**-2.0)
+                squares, rows = squares + float(np.sum((left / sigma) ** 2)), rows + left.size
+        return math.sqrt(squares / rows)
 
     def range_of(self, channel: str) -> tuple[float, float]:
         """Smallest and largest value of a channel at the rows; both 0 where a record has none of that name."""

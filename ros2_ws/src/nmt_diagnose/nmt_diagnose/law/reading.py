@@ -115,6 +115,9 @@ class LawReading:
         closed_above: the same of the top two levels, by a fit to those below.
         refusals: why the law is not told; empty = it is told.
         of_record: parts of one record stand for levels.
+        closed_by_file: share of the gap that the rig file with the laws closes by the prediction that later commands
+            make with it: of a record on the parts of the largest motion, which its strengths then do not know; NaN of
+            held levels.
     """
 
     test: str
@@ -126,11 +129,17 @@ class LawReading:
     closed_above: float
     refusals: tuple[str, ...]
     of_record: bool = False
+    closed_by_file: float = math.nan
 
     @property
     def is_stated(self) -> bool:
         """Whether the law is told."""
         return bool(self.laws) and not self.refusals
+
+    @property
+    def is_written(self) -> bool:
+        """Whether the law goes to the rig file: not where the file predicts no better than without it."""
+        return self.is_stated and not self.closed_by_file <= 0.0
 
     def closes_more_than(self, share: float) -> bool:
         """Whether levels that were left out, the top two too, are told better than by what closes such a share."""

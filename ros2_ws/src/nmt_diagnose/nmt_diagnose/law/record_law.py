@@ -15,6 +15,7 @@ import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.law.force_loop import ForceLoop
+from nmt_diagnose.law.law_elements import with_laws
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share, nearly_as_well
@@ -42,9 +43,12 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
     before = search.null.score
     name = " and ".join(record.test.name for record in records.records)
 
-    def reading(why: str, *laws: LocalLaw, after: float = before, above: float = math.nan) -> LawReading:
+    def reading(
+        why: str, *laws: LocalLaw, after: float = before, above: float = math.nan, by_file: float = math.nan
+    ) -> LawReading:
         inside = closed_share(before, after) if laws else math.nan
-        return LawReading(name, records.count, laws, before, after, inside, above, (why,) if why else (), True)
+        refusals = (why,) if why else ()
+        return LawReading(name, records.count, laws, before, after, inside, above, refusals, True, by_file)
 
     if before < limits.least_null_score:
         return reading("the record differs from the model by no more than noise and tolerances")
@@ -67,7 +71,20 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
         why = f"it needs what chain and model are not ordinarily off by: {', '.join(pulled)}"
     elif above < 0.0:
         why = "the parts of the largest motion are predicted worse with it"
-    return reading(why, _law(search, best, tried), after=best.score, above=above)
+    law = _law(search, best, tried)
+    by_file = math.nan if why else _closed_by_file(rig, search, best, law, top)
+    return reading(why, law, after=best.score, above=above, by_file=by_file)
+
+
+def _closed_by_file(rig: Rig, search: RecordSearch, best: RecordLaw, law: LocalLaw, out: list[int]) -> float:
+    """Share of the gap at some parts that a rig file closes whose strengths are those of all others."""
+    columns = search.records.columns([term for block in best.blocks for term in block.terms])
+    values = search.problem.without(columns, signed(best.blocks), out)
+    refitted = replace(best, fit=replace(best.fit, coefficients=values))
+    count = len(refitted.terms)
+    others = replace(law, terms=_law_terms(refitted, np.zeros((count, count)))) if refitted.acts else law
+    before, after = (search.records.left_by(model, out) for model in (rig, with_laws(rig, [others])))
+    return closed_share(before, after)
 
 
 def _law(search: RecordSearch, best: RecordLaw, tried: Sequence[RecordLaw]) -> LocalLaw:

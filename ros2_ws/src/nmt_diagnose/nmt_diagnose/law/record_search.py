@@ -18,8 +18,9 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
 from nmt_diagnose.law.law_search import best_moved, between
-from nmt_diagnose.law.moved_record import POSITION, MovedRecords, constant_of
+from nmt_diagnose.law.moved_record import MovedRecords, constant_of
 from nmt_diagnose.law.terms import Term
+from nmt_diagnose.measurements.imposed_motion.imposed_motion import POSITION
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _BLOCKS = 5  # side by side

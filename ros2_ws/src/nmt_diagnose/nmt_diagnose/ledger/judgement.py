@@ -85,7 +85,7 @@ class Judgement:
     def law_leads(self) -> bool:
         """Whether the law is the answer and is written: nothing is stated, or what is stated closes less than it."""
         law = self.law
-        if law is None or not law.is_stated:
+        if law is None or not law.is_written:
             return False
         return (
             self.nearest is None

@@ -11,7 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import ROTATION_UNITS
-from nmt_diagnose.coverage import NotCoveredError, covers
+from nmt_diagnose.coverage import NotCoveredError, covers, refuse_unbalanced
 from nmt_diagnose.measurements.registry import MEASUREMENTS
 from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
 from nmt_diagnose.observations.bag_windows import BagWindows
@@ -68,6 +68,7 @@ def read_observations(
     if not len(observations.rows):
         reasons = " ".join(observations.notes) or "No level was locked and no other test was made."
         raise BenchError(f"Nothing in {', '.join(map(str, bags))} can be used as observations. {reasons}")
+    refuse_unbalanced(model, observations.tests)
     observations = with_shared_scatter(observations)
     notes = [*observations.notes, *strangers(made)]
     if floor_bags:

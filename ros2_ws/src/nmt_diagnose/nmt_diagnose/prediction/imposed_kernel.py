@@ -7,6 +7,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.prediction.record_kernel import SteppedModel, _room, _solve_forces
+from nmt_diagnose.prediction.timed_elements import TimedTables
 from nmt_rig.model.aft import ElementTables, LocalTables
 
 MOTIONS_GIVEN = 3
@@ -15,14 +16,20 @@ MOTIONS_GIVEN = 3
 
 @njit(cache=True)
 def _follow(
-    motion: FloatArray, stride: int, r: int, model: SteppedModel, factor: FloatArray, elements: ElementTables
+    motion: FloatArray,
+    stride: int,
+    r: int,
+    model: SteppedModel,
+    factor: FloatArray,
+    elements: ElementTables,
+    timed: TimedTables,
 ) -> FloatArray:
     """Channels (c, samples); each coordinate is where the motion takes it, and what swings beside it."""
     decay, early, late, outputs, velocities, direct = model
     count, steps_total, given = decay.size, motion.shape[1], motion.shape[0]
     c = direct.shape[0] - r
     result = np.empty((c, (steps_total + stride - 1) // stride))
-    steps = _room(model, r, elements.jenkins.shape[0])
+    steps = _room(model, r, elements.jenkins.shape[0], timed.kinds.size)
     state = np.zeros(count, dtype=np.complex128)
     g, trial, before, free_w, free_v = steps.g, steps.trial, steps.before, steps.free_w, steps.free_v
     largest = 1e-300
@@ -47,7 +54,7 @@ def _follow(
             free_v[i] = b
             trial[i] = 2.0 * g[i] - before[i]
             before[i] = g[i]
-        _solve_forces(steps, largest, factor, elements)
+        _solve_forces(steps, largest, factor, elements, timed, n)
         for j in range(r):
             largest = max(largest, abs(g[j]))
             for k in range(count):
@@ -66,7 +73,13 @@ def _follow(
 
 
 def follow(
-    motion: FloatArray, stride: int, r: int, model: SteppedModel, factor: FloatArray, tables: LocalTables
+    motion: FloatArray,
+    stride: int,
+    r: int,
+    model: SteppedModel,
+    factor: FloatArray,
+    tables: LocalTables,
+    timed: TimedTables,
 ) -> FloatArray:
     """Channels of a rig whose drive point moves as measured, (c, ⌈n / stride⌉).
 
@@ -77,6 +90,7 @@ def follow(
         model: recursion of the poles of what moves freely; its inputs are the local forces and the motion.
         factor: force factor and its dependence on displacement.
         tables: local elements by coordinate.
+        timed: further elements, with their strengths at the steps.
     """
-    found: FloatArray = _follow(np.ascontiguousarray(motion), stride, r, model, factor, tables.elements)
+    found: FloatArray = _follow(np.ascontiguousarray(motion), stride, r, model, factor, tables.elements, timed)
     return found

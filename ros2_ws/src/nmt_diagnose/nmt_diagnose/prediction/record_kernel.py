@@ -9,6 +9,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import loop_step, njit
 from nmt_diagnose.prediction.rig_tables import FACTOR_LINEAR, FACTOR_QUADRATIC
+from nmt_diagnose.prediction.timed_elements import TimedTables, no_timed_elements, timed_force
 from nmt_rig.model.aft import ElementTables, LocalTables
 from nmt_rig.model.element_kernels import response
 from nmt_rig.model.local_elements.element import (
@@ -50,6 +51,7 @@ class Steps(NamedTuple):
 
     Attributes:
         sliders, moved: positions of the sliders before and after a step, m.
+        memory, remembered: of timed elements before and after a step, (n, 3).
         g, before: (r,) forces at the end of the last step and of the one before it, N.
         trial: (r,) forces tried at the end of a step.
         free_w, free_v: (r,) displacements and velocities there without forces at the end.
@@ -61,6 +63,8 @@ class Steps(NamedTuple):
 
     sliders: FloatArray
     moved: FloatArray
+    memory: FloatArray
+    remembered: FloatArray
     g: FloatArray
     before: FloatArray
     trial: FloatArray
@@ -76,7 +80,7 @@ class Steps(NamedTuple):
 
 
 @njit(cache=True)
-def _room(model: SteppedModel, r: int, sliders: int) -> Steps:
+def _room(model: SteppedModel, r: int, sliders: int, timed: int) -> Steps:
     """At rest."""
     outputs, velocities, late = model.outputs, model.velocities, model.late
     count = late.shape[0]
@@ -87,13 +91,16 @@ def _room(model: SteppedModel, r: int, sliders: int) -> Steps:
                 dw[i, j] += (outputs[i, k] * late[k, j]).real
                 dv[i, j] += (velocities[i, k] * late[k, j]).real
     return Steps(
-        np.zeros(sliders), np.zeros(sliders), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r),
-        np.zeros(r), np.zeros(r), np.zeros((r, r)), np.zeros((r, r)), dw, dv, np.zeros((r, r + 1)),
+        np.zeros(sliders), np.zeros(sliders), np.zeros((timed, 3)), np.zeros((timed, 3)), np.zeros(r), np.zeros(r),
+        np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros((r, r)), np.zeros((r, r)), dw, dv,
+        np.zeros((r, r + 1)),
     )  # fmt: skip
 
 
 @loop_step
-def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables) -> None:
+def _coordinate_forces(
+    steps: Steps, factor: FloatArray, elements: ElementTables, timed: TimedTables, step: int
+) -> None:
     """Forces (r,) of the coordinates at ``w`` and ``v`` and their tangents (r, r); ``moved`` gets the sliders."""
     jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = elements
     w, v, g, by_displacement, by_velocity = steps.w, steps.v, steps.g, steps.by_displacement, steps.by_velocity
@@ -121,6 +128,11 @@ def _coordinate_forces(steps: Steps, factor: FloatArray, elements: ElementTables
                 stiffness += k
         for e in range(sampled_start[i], sampled_start[i + 1]):
             element_force, k, c = response(kinds[e], parameters, e, w[i], v[i])
+            force += element_force
+            stiffness += k
+            damping += c
+        for e in range(timed.start[i], timed.start[i + 1]):
+            element_force, k, c = timed_force(timed, e, step, w[i], v[i], steps.memory, steps.remembered)
             force += element_force
             stiffness += k
             damping += c
@@ -176,7 +188,9 @@ def _newton_step(steps: Steps) -> None:
 
 
 @loop_step
-def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: ElementTables) -> None:
+def _solve_forces(
+    steps: Steps, largest: float, factor: FloatArray, elements: ElementTables, timed: TimedTables, step: int
+) -> None:
     """Forces (r,) at the end of a step by Newton's method from those tried; ``largest`` is that of all steps so far."""
     g, trial, w, v, dw, dv = steps.g, steps.trial, steps.w, steps.v, steps.dw, steps.dv
     free_w, free_v, kw, kv = steps.free_w, steps.free_v, steps.by_displacement, steps.by_velocity
@@ -189,7 +203,7 @@ def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: El
             for j in range(r):
                 w[i] -= dw[i, j] * trial[j]
                 v[i] -= dv[i, j] * trial[j]
-        _coordinate_forces(steps, factor, elements)
+        _coordinate_forces(steps, factor, elements, timed, step)
         error = 0.0
         size = largest
         for i in range(r):
@@ -203,6 +217,9 @@ def _solve_forces(steps: Steps, largest: float, factor: FloatArray, elements: El
             _newton_step(steps)
     for e in range(sliders.size):
         sliders[e] = moved[e]
+    for e in range(steps.memory.shape[0]):
+        for place in range(steps.memory.shape[1]):
+            steps.memory[e, place] = steps.remembered[e, place]
 
 
 @njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
@@ -213,6 +230,7 @@ def _step_all(
     model: SteppedModel,
     factor: FloatArray,
     elements: ElementTables,
+    timed: TimedTables,
     start: ComplexArray,
 ) -> FloatArray:
     """Channels (c, samples) of any number of coordinates.
@@ -224,10 +242,11 @@ def _step_all(
     count, c = model.decay.size, direct.size
     result = np.empty((c, (drive.size + substeps - 1) // substeps))
     sliders = elements.jenkins.shape[0]
-    steps = _room(model, r, sliders)
+    steps = _room(model, r, sliders, timed.kinds.size)
     g, trial, before, free_w, free_v = steps.g, steps.trial, steps.before, steps.free_w, steps.free_v
     state = np.concatenate((start.real, start.imag))
-    free = sliders + elements.contacts.shape[0] + elements.kinds.size == 0 and elements.jenkins_start.size - 1 == r
+    forces_of_motion = sliders + elements.contacts.shape[0] + elements.kinds.size + timed.kinds.size
+    free = forces_of_motion == 0 and elements.jenkins_start.size - 1 == r
     largest = 1e-300
     previous = 0.0
     for n in range(drive.size):
@@ -260,7 +279,7 @@ def _step_all(
                 # Where the force seems to go: a step of the iteration saved.
                 trial[i] = 2.0 * g[i] - before[i]
                 before[i] = g[i]
-            _solve_forces(steps, largest, factor, elements)
+            _solve_forces(steps, largest, factor, elements, timed, n)
             for j in range(r):
                 largest = max(largest, abs(g[j]))
         if n % substeps == 0:
@@ -435,6 +454,7 @@ def step_through(
     factor: FloatArray,
     tables: LocalTables,
     start: ComplexArray | None = None,
+    timed: TimedTables | None = None,
 ) -> FloatArray:
     """Channels, shape (c, samples).
 
@@ -446,12 +466,14 @@ def step_through(
         factor: force factor and its dependence on displacement.
         tables: local elements by coordinate.
         start: state of the poles one step before the first sample, (k,); None = at rest.
+        timed: further elements, with their strengths at the steps; None = there are none.
     """
     elements = tables.elements
+    timed = timed or no_timed_elements(elements.jenkins_start.size - 1)
     state = np.zeros(model.decay.size, dtype=np.complex128) if start is None else start
     found: FloatArray
-    if r == 1 and elements.jenkins_start.size == 2:
+    if r == 1 and elements.jenkins_start.size == 2 and not timed.kinds.size:
         found = _step_one(drive, substeps, model, elements, state)
     else:
-        found = _step_all(drive, substeps, r, model, factor, elements, state)
+        found = _step_all(drive, substeps, r, model, factor, elements, timed, state)
     return found

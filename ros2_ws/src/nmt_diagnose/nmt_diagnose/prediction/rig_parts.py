@@ -28,6 +28,7 @@ from nmt_diagnose.prediction.rig_tables import (
     LOW_PASS,
     RigTables,
 )
+from nmt_diagnose.prediction.timed_elements import TimedElements, TimedRow, timed_rows
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.assembly import (
     ElectromechanicalSystem,
@@ -98,6 +99,7 @@ class RigParts:
         structure: the structure alone.
         bare: structure and exciter without local elements.
         rig: what was taken apart, as it is at that moment.
+        timed: further nonlinear forces of the first coordinates, which only the stepping through a record predicts.
     """
 
     linear: LinearModel
@@ -118,11 +120,27 @@ class RigParts:
     structure: Structure
     bare: ElectromechanicalSystem
     rig: Rig
+    timed: TimedElements
 
     @cached_property
     def kernel_tables(self) -> RigTables:
-        """What the kernels know of it."""
+        """What the kernels of periodic motions know of it.
+
+        Raises:
+            BenchError: a local element is only stepped through records.
+        """
+        self.require_balanced()
         return RigTables(self.linear.tables, self.channels, self.force_factor, self.tables)
+
+    def require_balanced(self) -> None:
+        """Refuse elements that are only stepped through records.
+
+        Raises:
+            BenchError: there is one.
+        """
+        if self.timed.only_in_time:
+            kinds = [section.kind_name() for section in self.rig.local_elements if section.without_harmonic_balance]
+            raise BenchError(f"the diagnosis' model balances no {kinds[0]} over a period; give records.")
 
     @cached_property
     def first_input(self) -> ComplexArray:
@@ -135,6 +153,8 @@ class RigParts:
     def resting(self) -> tuple[FloatArray, FloatArray]:
         """Stiffness ∂g/∂w and damping ∂g/∂ẇ of the local forces at rest, (r,) each."""
         stiffness, damping = np.zeros(self.coordinates), np.zeros(self.coordinates)
+        for total, timed in zip((stiffness, damping), self.timed.resting(), strict=False):
+            total[: timed.size] += timed
         jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = self.tables.elements
         for i in range(jenkins_start.size - 1):
             stiffness[i] += jenkins[jenkins_start[i] : jenkins_start[i + 1], SLIDER_STIFFNESS].sum()
@@ -157,6 +177,8 @@ def sliding(parts: RigParts) -> tuple[FloatArray, FloatArray]:
     stuck = np.zeros(parts.coordinates)
     for i in range(starts.size - 1):
         stuck[i] = elements.jenkins[starts[i] : starts[i + 1], SLIDER_STIFFNESS].sum()
+    timed = parts.timed.resting()[2]
+    stuck[: timed.size] += timed
     return stiffness - stuck, damping
 
 
@@ -212,7 +234,7 @@ def rig_parts(
     groups, first_outside = local.groups, local.first_outside
     tables = local_tables(list(groups.values()), basis, settings.samples)
     drive = system.selector(system.drive_point)
-    directions = np.array([group[0].direction if group else drive for group in groups.values()])
+    directions = np.array([local.directions.get(key, drive) for key in groups])
     keys = list(groups)
     elements = directions.shape[0]
     factor, varying = _force_factor(rig)
@@ -264,6 +286,7 @@ def rig_parts(
         structure=structure,
         bare=bare,
         rig=rig,
+        timed=local.timed,
     )
 
 
@@ -298,7 +321,8 @@ def with_elements_of(
 ) -> RigParts:
     """Parts of a rig that differs from that of ``parts`` in numbers of its nonlinear elements or their drift only."""
     local = _local_elements(rig, parts.structure, parts.system.size, seconds, cycles)
-    return replace(parts, tables=local_tables(list(local.groups.values()), parts.basis, settings.samples))
+    tables = local_tables(list(local.groups.values()), parts.basis, settings.samples)
+    return replace(parts, tables=tables, timed=local.timed)
 
 
 @dataclass(frozen=True)
@@ -307,13 +331,17 @@ class _Local:
 
     Attributes:
         groups: nonlinear elements by the coordinate they act on; keys name coordinates across meshes and rigs.
+        directions: of each coordinate that has a force.
         first_outside: number of the first coordinate on the exciter's side.
         linear: springs and dampers, and whether the force sensor measures them.
+        timed: what only the stepping through a record predicts, by coordinate.
     """
 
     groups: dict[str, list[LocalElement]]
+    directions: dict[str, FloatArray]
     first_outside: int
     linear: list[tuple[LocalElement, bool]]
+    timed: TimedElements
 
 
 def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, cycles: float) -> _Local:
@@ -322,28 +350,39 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
     inside: dict[str, list[LocalElement]] = {}
     outside: dict[str, list[LocalElement]] = {}
     linear: list[tuple[LocalElement, bool]] = []
+    timed: dict[str, list[TimedRow]] = {}
+    directions: dict[str, FloatArray] = {}
     for section in rig.local_elements:
-        if section.without_harmonic_balance:
+        rows = timed_rows(section, structure)
+        if section.without_harmonic_balance and not rows:
             raise BenchError(
                 f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
             )
         behind = section.side == "exciter"
         # A moment is no part of the lateral force that the sensor measures.
         measured = behind and not section.rotation
+        groups = outside if measured else inside
+        key = f"{section.point} {section.other_point} {section.rotation} {measured}"
+        direction = np.zeros(size)
+        along = section.direction(structure)
+        direction[: along.shape[0]] = along
+        directions[key] = direction
+        if rows:
+            groups.setdefault(key, [])
+            timed.setdefault(key, []).extend(rows)
         build = build_exciter_elements if behind else build_elements
         for element in build(rig.model_copy(update={"local_elements": [section]}), structure):
-            direction = np.zeros(size)
-            direction[: element.direction.shape[0]] = element.direction
             if element.linear:
                 linear.append((element.along(direction), measured))
                 continue
-            element = element.with_slip_force(slip)
-            key = f"{section.point} {section.other_point} {section.rotation} {measured}"
-            (outside if measured else inside).setdefault(key, []).append(element.along(direction))
-    if not inside and not outside:
-        # One coordinate without force keeps the kernels free of special cases.
-        return _Local({IDLE: []}, 1, linear)
-    return _Local({**inside, **outside}, len(inside), linear)
+            groups.setdefault(key, []).append(element.with_slip_force(slip).along(direction))
+    groups = {**inside, **outside}
+    # One coordinate without force keeps the kernels free of special cases.
+    first_outside = len(inside) if groups else 1
+    groups = groups or {IDLE: []}
+    return _Local(
+        groups, directions, first_outside, linear, TimedElements(tuple(tuple(timed.get(key, ())) for key in groups))
+    )
 
 
 def _prepared(

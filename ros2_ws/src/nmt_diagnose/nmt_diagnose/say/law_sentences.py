@@ -33,6 +33,10 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
             families = " or ".join(law.other_families)
             result.append(f"At {_where(law)} {families} would do nearly as well.")
     result += [sentence for law in reading.laws for sentence in _following(law)]
+    if not reading.is_written:
+        result.append(
+            "It is not written to the rig file, which with it would predict what was left out no better than without."
+        )
     if not written:
         return tuple(result)
     lacking = not_written(reading.laws)
@@ -43,7 +47,8 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
     if channels:
         names = " and the ".join(channels)
         result.append(
-            f"No element there follows a channel: its strengths are those at the middle of the visited {names}."
+            f"Its elements follow the {names} of a record; elsewhere modulated_value sets it, at first to the middle "
+            "of what was visited."
         )
     return tuple(result)
 

@@ -51,6 +51,7 @@ class DrivenRecord(Driven):
         head: first samples of the channels, without the same mean, shape (channels, h); empty = it begins at rest.
         head_stride: samples of the input from one of these to the next.
         begins_in_motion: whether the model may not start at rest.
+        followed: further channels, which a force may follow, at the samples of the input, by what they are.
     """
 
     WORDS: ClassVar[str] = "record, driven by the measured input"
@@ -72,6 +73,12 @@ class DrivenRecord(Driven):
     head: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     head_stride: int = 1
     begins_in_motion: bool = False
+    followed: dict[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def signals(self) -> dict[str, FloatArray]:
+        """Measured channels that the strength of a force may follow, at the samples of the input, (n,) each."""
+        return self.followed
 
     @classmethod
     def read(cls, bag: BagWindows) -> list[Observations]:

@@ -150,7 +150,7 @@ class RecordPredictor(Predictor):
         digest = hashlib.sha256(repr((substeps, saturation, gain, errors)).encode())
         # The state that a record begins in is read through the sensors.
         gains = parts.channels[self._own, GAIN] if self.test.head.size else np.zeros(0)
-        for array in (*model, parts.force_factor, *parts.tables.elements, gains):
+        for array in (*model, parts.force_factor, *parts.tables.elements, *parts.timed.tables(), gains):
             digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         key = digest.digest()
         if key not in self._known:
@@ -186,10 +186,11 @@ class RecordPredictor(Predictor):
         if math.isfinite(saturation):
             drive = saturation * np.tanh(drive / saturation)
         drive = gain * drive
+        timed = parts.timed.tables(self.test.signals, substeps)
 
         def simulated(samples: int, start: ComplexArray) -> FloatArray:
             part, every = drive[: samples * substeps], substeps * self.test.head_stride
-            return step_through(part, every, parts.coordinates, model, parts.force_factor, parts.tables, start)
+            return step_through(part, every, parts.coordinates, model, parts.force_factor, parts.tables, start, timed)
 
         if state is not None:
             return simulated(self.test.input.size, state), InitialState(state, at_rest(state.size).errors)

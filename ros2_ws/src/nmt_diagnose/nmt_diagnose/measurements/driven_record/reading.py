@@ -14,7 +14,7 @@ Between samples the input is interpolated without loss in its band (the straight
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -39,6 +39,7 @@ from nmt_signals.channel_faults.clipping import clipping_level
 # Mirrored samples at either end of a resampled drive.
 _PADDING_SAMPLES = 512
 
+_FOLLOWED = (Quantity.CURRENT, Quantity.VOLTAGE, Quantity.FORCE)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -136,6 +137,7 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
                 row,
             )  # fmt: skip
     factor = 1 if linear_hold else refinement(stretch.row(recorded[present[0].name]), stretch.sample_rate)
+    fine = np.arange(factor * stretch.samples) / (factor * stretch.sample_rate)
     head = responses[:, :first] - responses.mean(axis=1, keepdims=True)
     test = DrivenRecord(
         name=name,
@@ -151,8 +153,30 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
         head=head,
         head_stride=factor,
         begins_in_motion=in_motion,
+        followed=followed_channels(stretch, source, set(recorded.values()), fine),
     )
     return table.observations(test, notes)
+
+
+def followed_channels(
+    stretch: SampleStretch, source: MeasuredChannel, known: Collection[str], fine: FloatArray
+) -> dict[str, FloatArray]:
+    """Currents, voltages and forces that the model has not, at times from the first sample on, by quantity and name."""
+    found = [
+        channel
+        for channel in stretch.channels
+        if channel.quantity in _FOLLOWED
+        and channel.name not in {*stretch.faults, source.name}
+        and (channel.quantity is not Quantity.FORCE or channel.name not in known)
+    ]
+    quantities = [channel.quantity for channel in found]
+    time = np.arange(stretch.samples) / stretch.sample_rate
+    result = {}
+    for channel in found:
+        name = channel.quantity.name.lower()
+        name += f" {channel.name}" if quantities.count(channel.quantity) > 1 else ""
+        result[name] = np.interp(fine, time, stretch.row(channel.name))
+    return result
 
 
 def _zero(samples: FloatArray, channel: MeasuredChannel) -> float:

@@ -23,6 +23,8 @@ from nmt_diagnose.prediction.resting_motion import (
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
+POSITION = "displacement"
+
 if TYPE_CHECKING:
     from nmt_diagnose.observations.bag_windows import BagWindows
     from nmt_diagnose.observations.observables import Observations
@@ -42,7 +44,6 @@ class ImposedMotion(DrivenRecord):
         size: half of what the displacement spans, m.
         force_n: largest measured force, N.
         force: measured force at the recorded samples, N; NaN where it is no observable.
-        followed: further channels, which a force may follow, at the samples of the input, by what they are.
     """
 
     WORDS: ClassVar[str] = "imposed motion, its force predicted"
@@ -53,7 +54,11 @@ class ImposedMotion(DrivenRecord):
     size: float = math.nan
     force_n: float = math.nan
     force: FloatArray = field(default_factory=lambda: np.zeros(0))
-    followed: dict[str, FloatArray] = field(default_factory=dict)
+
+    @property
+    def signals(self) -> dict[str, FloatArray]:
+        """Measured channels that the strength of a force may follow; the displacement of the drive point is one."""
+        return {POSITION: self.motion[0], **self.followed}
 
     @classmethod
     def read(cls, bag: BagWindows) -> list[Observations]:

@@ -103,7 +103,8 @@ class ImposedMotionPredictor(Predictor):
         substeps = substeps_of(free, rate) if free.poles.size else 1
         model = stepped_model(free, parts.coordinates, rows, 1.0 / (rate * substeps))
         steps = _between(motion * np.array([1.0, parts.clock, parts.clock**2])[:, None], substeps)
-        raw = follow(steps, substeps, parts.coordinates, model, parts.force_factor, parts.tables)
+        timed = parts.timed.tables(test.signals, substeps)
+        raw = follow(steps, substeps, parts.coordinates, model, parts.force_factor, parts.tables, timed)
         return recorded(raw, parts, self._own, rate)
 
 

@@ -10,7 +10,7 @@ the force has independent values.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -25,13 +25,13 @@ from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record.reading import (
+    followed_channels,
     refinement,
     spread_samples,
     white_noise,
 )
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
 from nmt_diagnose.observations.bag_windows import BagWindows, Window
-from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
@@ -43,7 +43,6 @@ KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
 _PASSAGE = 0.05  # of a period that a reversal stays slow at the most; a sine takes a third of it
 _DEGREE = 5  # of the polynomials: their second derivative is as good as their value is with degree 3
 _PASSED = 4.0  # frequency at which the polynomials halve the power over the highest of the motion
-_FOLLOWED = (Quantity.CURRENT, Quantity.VOLTAGE, Quantity.FORCE)
 _MOTION_UNITS = {motion.unit for motion in MOTIONS}
 
 
@@ -184,30 +183,9 @@ def _one(
         size=0.5 * float(np.ptp(motion[0])),
         force_n=float(np.abs(responses[0]).max()),
         force=observed,
-        followed=_followed(stretch, source, set(recorded.values()), fine),
+        followed=followed_channels(stretch, source, set(recorded.values()), fine),
     )
     return table.observations(test)
-
-
-def _followed(
-    stretch: SampleStretch, source: MeasuredChannel, known: Collection[str], fine: FloatArray
-) -> dict[str, FloatArray]:
-    """Currents, voltages and forces that the model has not, at times from the first sample on, by quantity and name."""
-    found = [
-        channel
-        for channel in stretch.channels
-        if channel.quantity in _FOLLOWED
-        and channel.name not in {*stretch.faults, source.name}
-        and (channel.quantity is not Quantity.FORCE or channel.name not in known)
-    ]
-    quantities = [channel.quantity for channel in found]
-    time = np.arange(stretch.samples) / stretch.sample_rate
-    result = {}
-    for channel in found:
-        name = channel.quantity.name.lower()
-        name += f" {channel.name}" if quantities.count(channel.quantity) > 1 else ""
-        result[name] = np.interp(fine, time, stretch.row(channel.name))
-    return result
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,7 @@ class RandomPredictor(Predictor):
         """Stiffness and damping of the local forces under the motion that the drive makes, (r,) each; see
         gaussian_motion.py. A drive of unknown size is small.
         """
+        parts.require_balanced()
         test, tables = self.test, parts.tables
         elements = tables.elements
         starts = elements.jenkins_start + elements.contacts_start + elements.sampled_start

@@ -208,10 +208,14 @@ class PowerLawDamperSection(ElementSection):
 
 @dataclass(frozen=True)
 class EddyBrake(LocalElement):
-    """g = c v / (1 + (v / v_c)²): the force of an eddy-current brake falls beyond its critical velocity (m/s)."""
+    """g = c v / (1 + (v / v_c)²): the force of an eddy-current brake falls beyond its critical velocity (m/s).
+
+    At v ≤ 100 v_c its harmonics of order n fall at least as exp(−n / 100), so that 1024 samples leave errors of 4e-5.
+    """
 
     damping: float
     critical_velocity: float
+    samples: ClassVar[tuple[int, int]] = (2048, 1024)
     must_be_positive: ClassVar[tuple[str, ...]] = ("critical_velocity",)
 
     @staticmethod
@@ -234,8 +238,8 @@ class EddyBrakeSection(ElementSection):
     damping_ns_m: NotNegative
     critical_velocity_m_s: Positive
     element: ClassVar = EddyBrake
-    without_harmonic_balance: ClassVar = "how many samples it needs depends on its critical velocity"
-    without_effect: ClassVar = "harmonic balance does not cover it"
+    not_calibrated: ClassVar = ("critical_velocity_m_s",)
+    without_effect: ClassVar = "the law has its term"
     law: ClassVar = (
         LawForm(
             "brake", "brake", "v / (1 + (v / {size} m/s)²)", lambda c, v, _: (c, v), "damping that falls with speed",

@@ -23,10 +23,12 @@ from __future__ import annotations
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from pydantic import Field, model_validator
 
+from nmt_core.key_units import unit_of_key
 from nmt_rig.model.element_uses import ElementEffect, LawForm
 from nmt_rig.model.structure import Array, Structure
 from nmt_rig.rig_section import Name, Point, Positive, Section
@@ -148,6 +150,11 @@ class ElementSection(Section):
             no part of the structure
         rotation: acts on the rotation of a beam's cross-section: N m, rad and their products for N, m and theirs
         valid_to_m: largest displacement (rad with `rotation`) at which its law was identified; left out = not limited
+        modulated_by: channel that its strength follows: `current`, `voltage`, `force` or `displacement`, with the name
+            of the sensor behind where a record has several; a record that has it drives the element
+        modulated_at: value of the channel at which the element's keys hold
+        modulated_share: change of its strength by a unit of the channel, as a share of that at `modulated_at`
+        modulated_value: value of the channel in simulations and in records without it; left out = `modulated_at`
     """
 
     name: Name | None = None
@@ -156,6 +163,10 @@ class ElementSection(Section):
     side: Literal["structure", "exciter"] = "structure"
     rotation: bool = False
     valid_to_m: Positive | None = None
+    modulated_by: Annotated[str, Field(pattern=r"^(current|voltage|force|displacement)( .+)?$")] | None = None
+    modulated_at: float = 0.0
+    modulated_share: float = 0.0
+    modulated_value: float | None = None
 
     element: ClassVar[Any] = None  # class that is made of the section's own keys, in their order
     friction: ClassVar[bool] = False
@@ -184,6 +195,34 @@ class ElementSection(Section):
             KeyError: the structure has no such point, or its points do not rotate.
         """
         return structure.direction(self.point, self.other_point, self.rotation)
+
+    @model_validator(mode="after")
+    def _strength_is_not_negative(self) -> ElementSection:
+        if self.modulated_by is None and (self.modulated_share or self.modulated_at or self.modulated_value):
+            raise ValueError("modulated_at, modulated_share and modulated_value need modulated_by")
+        if self.modulation < 0.0:
+            raise ValueError("modulated_share makes the strength negative at modulated_value")
+        return self
+
+    @property
+    def modulation_value(self) -> float:
+        """Value of the channel that the strength follows where nothing drives it."""
+        return self.modulated_at if self.modulated_value is None else self.modulated_value
+
+    @property
+    def modulation(self) -> float:
+        """Strength at that value over the one that the keys state."""
+        return 1.0 + self.modulated_share * (self.modulation_value - self.modulated_at)
+
+    def times(self, factor: float) -> ElementSection:
+        """The element with its strength times a factor, whatever channel it followed."""
+        scaled = {key: factor * getattr(self, key) for key in self.own_keys() if unit_of_key(key).startswith("N")}
+        return self.model_copy(update={**scaled, "modulated_by": None, "modulated_share": 0.0, "modulated_value": None})
+
+    @property
+    def unmodulated(self) -> ElementSection:
+        """The element as it is where nothing drives the channel that its strength follows."""
+        return self if self.modulated_by is None else self.times(self.modulation)
 
     def own_values(self) -> list[Any]:
         """Values of the own keys: frequencies in Hz become rad/s, all else is taken as it is."""

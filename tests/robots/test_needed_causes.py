@@ -40,6 +40,19 @@ def test_a_spring_brings_its_rest_with_it(tmp_path: Path) -> None:
     assert needed[0].key == "spring"
 
 
+def test_a_spring_of_the_file_is_none_that_is_missing(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **log_columns(more=lambda q, v: 3.0 * (q - 1.0)))
+    file = robot_file(tmp_path)
+    bare = diagnose_robot(file, tmp_path / "log.npz").joints[0]
+    assert "spring" in bare.cause
+    text = file.read_text()
+    assert text.count("armature=") == 1
+    file.write_text(text.replace("armature=", 'stiffness="3.0" springref="1.0" armature='))
+    joint = diagnose_robot(file, tmp_path / "log.npz").joints[0]
+    assert joint.cause == "as in the model"
+    assert joint.unchanged < 0.2 * bare.unchanged
+
+
 def test_friction_that_falls_with_speed_is_found_within_the_tolerances(tmp_path: Path) -> None:
     np.savez(tmp_path / "log.npz", **log_columns(more=lambda q, v: np.sign(v) * 1.2 * np.exp(-abs(v) / 0.2)))
     diagnosis = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")

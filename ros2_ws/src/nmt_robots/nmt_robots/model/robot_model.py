@@ -77,7 +77,6 @@ class RobotModel:
         self._model.dof_damping[:] = 0.0
         self._model.dof_frictionloss[:] = 0.0
         self._model.dof_armature[:] = 0.0
-        self._model.jnt_stiffness[:] = 0.0
         flags = mujoco.mjtDisableBit
         self._model.opt.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT | flags.mjDSBL_FRICTIONLOSS)
         self._data = mujoco.MjData(self._model)
@@ -110,7 +109,7 @@ class RobotModel:
     def torque(
         self, names: tuple[str, ...], q: Array, v: Array, a: Array, yielding: bool = False, heavier: str = ""
     ) -> Array:
-        """Torque of the rigid bodies, without damping, friction and armature of the drives.
+        """Torque of the rigid bodies and springs, without damping, friction and armature of the drives.
 
         Joints of the model that are not named stand still where its own pose has them. So does a base that floats,
         unless it yields: then it is carried against gravity alone, and what the limbs do pushes it away.

@@ -34,7 +34,6 @@ class RobotSimulation:
         model.opt.disableflags &= ~int(flags.mjDSBL_FRICTIONLOSS)
         model.dof_solref[:] = (2.0 * step_s, 1.0)
         numbers = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in names]
-        self._numbers = np.array(numbers)
         self._places, self._dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
         for name, factor in (heavier or {}).items():
             model.body_mass[model.jnt_bodyid[numbers[list(names).index(name)]]] *= factor
@@ -55,9 +54,8 @@ class RobotSimulation:
         """J, rad/s², of the last step."""
         return np.array(self._data.qacc[self._dofs])
 
-    def set_joints(self, armature: Array, damping: Array, without_spring: Array) -> None:
-        """Armature (kg·m²) and damping (N·m·s/rad) of each joint, and which ones have no spring of the file."""
-        self._model.jnt_stiffness[self._numbers[without_spring]] = 0.0
+    def set_joints(self, armature: Array, damping: Array) -> None:
+        """Armature (kg·m²) and damping (N·m·s/rad) of each joint."""
         self._model.dof_armature[self._dofs] = armature
         self._model.dof_damping[self._dofs] = damping
 

@@ -260,9 +260,7 @@ class Simulated:
         armature, damping, coulomb = (
             np.array([getattr(joint, name) for joint in joints]) for name in ("armature", "damping", "coulomb")
         )
-        self._simulation.set_joints(
-            np.where(loose, 0.0, armature), np.where(loose, 0.0, damping), np.array([j.has("spring") for j in joints])
-        )
+        self._simulation.set_joints(np.where(loose, 0.0, armature), np.where(loose, 0.0, damping))
         self._coulomb, self._loose = coulomb, [int(number) for number in np.flatnonzero(loose)]
         self._of_bodies = any(joint.has("gravity_scale", "inertia_scale") for joint in joints)
         self._angle, self._speed = np.zeros(len(joints)), np.zeros(len(joints))

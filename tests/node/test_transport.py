@@ -105,7 +105,7 @@ def run_ip(*words: str) -> None:
 
 @dataclass(frozen=True)
 class Wire:
-    """Two namespaces that only a wire connects; each has its own shared memory, as two hosts have."""
+    """Two namespaces that only a wire connects; every process has shared memory of its own."""
 
     bench: str
     stranger: str
@@ -118,9 +118,9 @@ class Wire:
             if not name.startswith(("FAST", "RMW_FASTRTPS", "ROS_AUTOMATIC", "ROS_STATIC", "ROS_LOCALHOST"))
         }
         settings.update({"ROS_DOMAIN_ID": str(DOMAIN), **environment})
-        # A node with other settings uses shared memory, by which the two ends would meet where two hosts cannot.
-        memory = "mount -t tmpfs none /dev/shm; " if where == self.stranger else ""
-        command = ["ip", "netns", "exec", where, "sh", "-c", memory + 'exec "$@"', "sh"]
+        # A node with other settings uses shared memory: the two ends would meet by it where two hosts cannot, and what
+        # it leaves there would stay.
+        command = ["ip", "netns", "exec", where, "sh", "-c", 'mount -t tmpfs none /dev/shm; exec "$@"', "sh"]
         return subprocess.Popen(
             [*command, sys.executable, "-c", script, *arguments],
             env=settings,
@@ -327,7 +327,6 @@ def two_host_bench(wire: Wire, folder: Path, periods: int) -> Iterator[tuple[sub
     processes = []
     try:
         for name, (_, _, where) in NODES.items():
-            # The far end of the wire has its own shared memory for every process, so one node only can live there.
             host, address = (wire.stranger, STRANGER_ADDRESS) if name == "plant" else (wire.bench, BENCH_ADDRESS)
             module, _, kind = where.partition(":")
             profile = {"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles[address])}

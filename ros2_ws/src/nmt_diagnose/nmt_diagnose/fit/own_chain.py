@@ -9,10 +9,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from nmt_core.errors import BenchError
 from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.fit.explanations import FittedExplanation
-from nmt_diagnose.fit.fitting import Data, FitError, Start, fit
+from nmt_diagnose.fit.fitting import Data, Start, fit
 from nmt_diagnose.fit.model_alone import about
 from nmt_diagnose.observations.observables import Observations
 from nmt_rig.rig import Rig
@@ -34,7 +36,10 @@ class OwnChains:
         self._known: dict[int, tuple[Data, FittedExplanation]] = {}
 
     def __call__(self, found: FittedExplanation) -> tuple[Data, FittedExplanation]:
-        """Rows and chain about an explanation, and its fit to them; as they are where it has all of the leader."""
+        """Rows and chain about an explanation, and its fit to them.
+
+        As they are where it has all effects of the leader, and where it cannot be fitted anew.
+        """
         if self._causes <= set(found.fitted.causes):
             return self._data, found
         key = id(found.fit)
@@ -47,6 +52,6 @@ class OwnChains:
         try:
             data = about(self._rig, self._observations, near, self._data.used)
             refitted = fit(data, near.parametrisation, Start(near.start, near.theta, near))
-        except (BenchError, FitError):
+        except (BenchError, ArithmeticError, np.linalg.LinAlgError):
             return self._data, found
         return data, replace(found, fit=refitted)

@@ -150,10 +150,10 @@ def _motions(replay: Replay) -> ReportFigure:
     for (axes, missed), item in zip(grid, chosen, strict=True):
         time = replay.time[every]
         axes.plot(time, item.measured[every], color=MUTED, linewidth=2.5, label="measured")
-        for values, label, colour in (
-            (item.by_model, "model as given", ORANGE),
-            (item.by_changed, "changed model", BLUE),
-        ):
+        curves = [(item.by_model, "model as given", ORANGE)]
+        if replay.changed:
+            curves.append((item.by_changed, "changed model", BLUE))
+        for values, label, colour in curves:
             axes.plot(time, values[every], color=colour, linewidth=0.9, label=label)
             missed.plot(time, 1e3 * (values - item.measured)[every], color=colour, linewidth=0.9)
         axes.set_ylabel(f"{item.joint} (rad)")
@@ -162,8 +162,9 @@ def _motions(replay: Replay) -> ReportFigure:
         axes.set_xlabel("time of the replay (s)")
     grid[0][0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     more = len(replay.joints) - len(chosen)
-    words = "Measured and simulated motion." + (f" {more} joints that are off less are in the table." if more else "")
-    return ReportFigure("replay", "The log replayed", words,
+    words = "" if replay.changed else "Nothing was changed, so that the changed model is the model as given. "
+    words += "Joints that are off most." + (f" {more} more are in the table." if more else "")
+    return ReportFigure("replay", "Measured and simulated motion", words,
                         svg_text(figure, "replay", "Measured and simulated positions"), wide=True)  # fmt: skip
 
 

@@ -31,11 +31,13 @@ def moved(found: Observations, part: Part, change: FloatArray, channel: int = -1
     return replace(found, values=found.values + np.where(here, change[rows.level], 0.0))
 
 
+@pytest.mark.court(said="none of an investigation")
 def test_a_model_without_a_gap_is_not_contradicted() -> None:
     found, predicted = windows()
     assert none_contradicted(found, predicted, MATTERS) == ""
 
 
+@pytest.mark.court(said="none of an investigation")
 def test_scatter_and_what_does_not_matter_are_no_gap() -> None:
     """A frequency that scatters by more than what matters, one that moves by less, and a gain."""
     found, predicted = windows()
@@ -47,6 +49,7 @@ def test_scatter_and_what_does_not_matter_are_no_gap() -> None:
     assert none_contradicted(gain, predicted, MATTERS) == ""
 
 
+@pytest.mark.court(not_said="none of an investigation")
 @pytest.mark.parametrize(
     ("part", "channel", "words"),
     [(Part.LOG_FREQUENCY, -1, "the frequency moves by 1.6 %"), (Part.LOG_MAGNITUDE, 1, "the response of x1 moves by")],
@@ -70,6 +73,7 @@ def record(ended: str, verdict: str, reached: float = 0.6, **changes: object) ->
     return replace(made, **{"conclusion": f"{NO_GAP} {made.bound}".rstrip(), **changes})  # type: ignore[arg-type]
 
 
+@pytest.mark.court(said="end of an investigation")
 @pytest.mark.parametrize(
     ("ended", "verdict"),
     [
@@ -83,6 +87,7 @@ def test_ends_that_rest_on_their_diagnosis_stand(ended: str, verdict: str, reach
     assert end_contradicted(record(ended, verdict, reached)) == ""
 
 
+@pytest.mark.court(not_said="end of an investigation")
 @pytest.mark.parametrize(
     ("liar", "words"),
     [

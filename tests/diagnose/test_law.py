@@ -40,6 +40,7 @@ def top_of(found: LawReading):
     return found.laws[0].loops[-1]
 
 
+@pytest.mark.court(not_said="law")
 def test_a_healthy_chain_has_no_law() -> None:
     found = reading()
     assert not found.is_stated
@@ -47,6 +48,7 @@ def test_a_healthy_chain_has_no_law() -> None:
     assert found.before < 1.0
 
 
+@pytest.mark.court(said="law")
 def test_a_cubic_spring_is_read_with_its_place_and_strength() -> None:
     found = reading((3, "cubic", (4.0e8,), ()))
     assert found.is_stated
@@ -59,6 +61,7 @@ def test_a_cubic_spring_is_read_with_its_place_and_strength() -> None:
     assert found.closed_above > 0.9
 
 
+@pytest.mark.court(said="law")
 def test_a_clearance_is_read_with_gap_and_stiffness() -> None:
     found = reading((2, "gap", (8.0e3, 2.0e-4), ()))
     (law,) = found.laws
@@ -216,6 +219,7 @@ def test_decays_and_tables_give_the_law_of_one_mode(decay: bool) -> None:
     assert sum(loss) == pytest.approx(0.02, rel=0.05)
 
 
+@pytest.mark.court(not_said="law")
 def test_a_decay_of_the_model_has_no_law() -> None:
     for bent in (0.0, 0.005):
         found = read_law(one_mass(), amplitudes(True, bent=bent))
@@ -334,6 +338,7 @@ def test_a_law_under_which_the_motion_has_no_bound_is_not_told(monkeypatch: pyte
     assert "the motion has no bound" in found.refusals[0]
 
 
+@pytest.mark.court(not_said="law")
 def test_a_wrong_gain_alone_is_no_law() -> None:
     found = reading(gains=(1.0, 1.2, 1.0, 1.0))
     assert not found.is_stated

@@ -42,6 +42,7 @@ def found(windows: list[tuple[FloatArray, FloatArray]], hz: float = 50.0) -> NDA
     return np.array([[line.amplitudes for line in lines if line], [line.std for line in lines if line]])
 
 
+@pytest.mark.court(not_said="hum")
 @pytest.mark.parametrize("seconds", with_quick([2.0, 10.0], 2.0))
 def test_windows_without_a_line_scatter_about_zero_as_stated(seconds: float) -> None:
     amplitudes, std = found([window(seed, seconds) for seed in range(40)])
@@ -52,6 +53,7 @@ def test_windows_without_a_line_scatter_about_zero_as_stated(seconds: float) -> 
     assert np.abs(z).max() < 4.5
 
 
+@pytest.mark.court(said="hum")
 @pytest.mark.parametrize("hz", [50.0, 60.0])
 def test_a_line_of_any_phase_is_found_in_its_channel(hz: float) -> None:
     # A wandering mains: 0.04 Hz beside its nominal frequency.
@@ -61,6 +63,7 @@ def test_a_line_of_any_phase_is_found_in_its_channel(hz: float) -> None:
     assert np.all(amplitudes[:, 0] < 4.0 * std[:, 0])
 
 
+@pytest.mark.court(not_said="hum")
 def test_a_harmonic_at_the_mains_hides_it() -> None:
     cycles, data = window(1, 2.0, frequency=25.2)
     assert mains_line(cycles, data, RATE, 5, 50.0) is None

@@ -62,6 +62,7 @@ def hardening(lags, cubic, zeta=ZETA):
     return OMEGA * (1.0 + cubic * np.sin(lags) ** 2) - zeta * OMEGA / np.tan(lags), np.sin(lags)
 
 
+@pytest.mark.court(not_said=("fold", "unstable"))
 def test_a_frequency_that_rises_everywhere_has_no_fold():
     stop = two_sided_stop(0.11)
     assert np.all(np.diff(stop[:, 0]) > 0.0)  # the balance is monotone
@@ -74,6 +75,7 @@ def test_a_frequency_that_rises_everywhere_has_no_fold():
     assert "unstable" not in sentence
 
 
+@pytest.mark.court(not_said=("fold", "unstable"))
 def test_knots_of_an_interpolation_are_no_fold():
     omega, response = hardening(LAGS, 0.0)
     omega = omega + 0.002 * OMEGA * np.isin(np.arange(LAGS.size), (14, 15))  # a step up: splines overshoot beside it
@@ -82,6 +84,7 @@ def test_knots_of_an_interpolation_are_no_fold():
     assert not np.any(curve.stable == 0.0)
 
 
+@pytest.mark.court(said=("fold", "unstable"))
 @pytest.mark.parametrize("cubic", [0.1, -0.08])
 def test_a_fold_lies_between_the_measured_points_that_are_named(cubic):
     curve = measured(*hardening(LAGS, cubic), noise=1e-4)
@@ -100,6 +103,7 @@ def test_a_fold_lies_between_the_measured_points_that_are_named(cubic):
     assert np.count_nonzero(curve.stable == 0.0) > 0
 
 
+@pytest.mark.court(not_said="unstable")
 def test_points_in_the_noise_of_a_flat_branch_are_left_open():
     omega, response = hardening(LAGS, 0.0, zeta=1e-5)
     curve = measured(omega, response, relative_std=1e-3, noise=1e-3)
@@ -135,6 +139,7 @@ def nearly_linear(amplitude: float) -> float:
     return OMEGA * math.sqrt(1.0 + 0.02 * (amplitude / UNIT) ** 2)
 
 
+@pytest.mark.court(not_said="isola")
 @pytest.mark.parametrize("centre", [stiffening, nearly_linear])
 def test_of_viscous_damping_no_isola_is_foretold(centre):
     """F_min(A) = c Ω A rises with the amplitude."""
@@ -143,6 +148,7 @@ def test_of_viscous_damping_no_isola_is_foretold(centre):
     assert not any("isola is born" in sentence for sentence in surface_sentences(curves))
 
 
+@pytest.mark.court(said="isola")
 @pytest.mark.parametrize("centre", [stiffening, nearly_linear])
 def test_an_isola_on_which_a_held_amplitude_lies_is_named(centre):
     curves = [held(a, falling, centre) for a in UNIT * np.linspace(0.2, 1.7, 11)]
@@ -153,8 +159,10 @@ def test_an_isola_on_which_a_held_amplitude_lies_is_named(centre):
     assert isola.response == pytest.approx(float(amplitudes[np.argmin(least)]), rel=3e-2)
 
 
-def test_nothing_is_said_of_the_force_where_measured_frequencies_do_not_overlap():
-    apart = [held(a, viscous, stiffening) for a in UNIT * np.geomspace(0.2, 1.2, 6)]
+@pytest.mark.court(not_said="force surface")
+@pytest.mark.parametrize("count", [5, 6])
+def test_nothing_is_said_of_the_force_where_measured_frequencies_do_not_overlap(count):
+    apart = [held(a, viscous, stiffening) for a in UNIT * np.geomspace(0.2, 1.2, count)]
     surface = ForceSurface.of(apart)
     assert surface.unknown_between
     between = 0.5 * (surface.amplitude[:-1] + surface.amplitude[1:])
@@ -164,8 +172,10 @@ def test_nothing_is_said_of_the_force_where_measured_frequencies_do_not_overlap(
     assert any("do not overlap" in sentence for sentence in surface_sentences(apart))
 
 
-def test_a_force_between_overlapping_frequencies_is_known_and_right():
-    near = [held(a, viscous, nearly_linear) for a in UNIT * np.linspace(0.2, 1.7, 11)]
+@pytest.mark.court(said="force surface")
+@pytest.mark.parametrize("count", [11, 14])
+def test_a_force_between_overlapping_frequencies_is_known_and_right(count):
+    near = [held(a, viscous, nearly_linear) for a in UNIT * np.linspace(0.2, 1.7, count)]
     surface = ForceSurface.of(near)
     assert surface.unknown_between == ()
     assert not any("do not overlap" in sentence for sentence in surface_sentences(near))
@@ -178,15 +188,25 @@ def test_a_force_between_overlapping_frequencies_is_known_and_right():
     assert surface.force(frequency, response) == pytest.approx(exact, rel=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("growth", "rate", "settled"), [(0.0, 0.0, True), (0.001, 0.005, True), (0.05, 0.0, False), (0.0, 0.5, False)]
-)
-def test_a_point_that_still_moves_has_not_settled(growth, rate, settled):
+def settled(growth, rate):
     """At 1 % damping and 126.5 rad/s the decay is 1.265 1/s."""
     decay = ZETA * OMEGA
-    assert is_settled(growth / decay, rate / decay / OMEGA, ZETA) is settled
+    found = is_settled(growth / decay, rate / decay / OMEGA, ZETA)
     remark = settling_part({"damping_ratio": ZETA, "omega_rad_s": OMEGA, "modal_amplitude": 1.0}, growth, rate)
-    assert ("has not settled" in remark.sentence) is not settled
+    assert ("has not settled" in remark.sentence) is not found
+    return found
+
+
+@pytest.mark.court(not_said="settled")
+@pytest.mark.parametrize(("growth", "rate"), [(0.05, 0.0), (0.0, 0.5)])
+def test_a_point_that_still_moves_has_not_settled(growth, rate):
+    assert not settled(growth, rate)
+
+
+@pytest.mark.court(said="settled")
+@pytest.mark.parametrize(("growth", "rate"), [(0.0, 0.0), (0.001, 0.005)])
+def test_a_point_that_hardly_moves_has_settled(growth, rate):
+    assert settled(growth, rate)
 
 
 def test_no_line_is_drawn_where_a_lag_was_not_held():

@@ -83,6 +83,7 @@ def test_what_does_not_pass_the_level_is_rejected() -> None:
     assert "Samples are missing" in modal_point(window(x, 8e-4), linear(1.0)).reason
 
 
+@pytest.mark.court(said="limit cycle")
 @pytest.mark.parametrize("lost", [(), (1.8,), (2.6,), (5.0,), (1.8, 2.6), (1.8, 2.6, 5.0)])
 def test_a_limit_cycle_between_lost_levels_is_uncertain(lost: tuple[float, ...]) -> None:
     """Damping 1 - 6 r² + 5 r⁴ % over r = q/q₀ is zero at q₀/√5 and at q₀; whatever is lost, they are within 3 std."""
@@ -97,6 +98,20 @@ def test_a_limit_cycle_between_lost_levels_is_uncertain(lost: tuple[float, ...])
     unstable, stable = limit_cycles(points)
     for cycle, true in ((unstable, q0 / math.sqrt(5.0)), (stable, q0)):
         assert abs(cycle.modal_amplitude - true) < 3.0 * cycle.modal_amplitude_std
+
+
+@pytest.mark.court(not_said="limit cycle")
+@pytest.mark.parametrize("damping", [(0.01, 0.002, 0.001, 0.002, 0.01), (-0.01, -0.012, -0.02, -0.015, -0.01)])
+def test_a_damping_that_keeps_its_sign_has_no_limit_cycle(damping: tuple[float, ...]) -> None:
+    """One falls to a tenth and rises again, the other moves on with growth everywhere."""
+    points = [
+        ModalPoint(
+            0, PointStatus.OK, "", q, "m", modal_amplitude=q, damping_ratio=ratio, damping_ratio_std=1e-4,
+            omega_rad_s=100.0,
+        )
+        for q, ratio in enumerate(damping, 1)
+    ]  # fmt: skip
+    assert limit_cycles(points) == []
 
 
 def test_limit_cycles_and_their_stability(tmp_path) -> None:

@@ -109,6 +109,7 @@ def low_pass(corner: float) -> Any:
     return lambda f: 1 / (1 + 1j * f / corner)
 
 
+@pytest.mark.court(said="linear")
 @pytest.mark.parametrize("seed", range(10))
 def test_a_healthy_record_has_no_finding(seed: int) -> None:
     structure = any_structure(seed)
@@ -117,6 +118,7 @@ def test_a_healthy_record_has_no_finding(seed: int) -> None:
     assert findings(test) == []
 
 
+@pytest.mark.court(not_said="linear")
 @pytest.mark.parametrize(
     ("channel", "fault", "sentence"),
     [

@@ -54,8 +54,8 @@ def chain_rig() -> Rig:
     return validate_rig(RigDocument("test", values, {}))
 
 
-def chain_accelerance(hertz: FloatArray, stiffer: float = 1.0) -> ComplexArray:
-    """Accelerations over the force at point 1, shape (n, 3)."""
+def chain_receptance(hertz: FloatArray, stiffer: float = 1.0) -> ComplexArray:
+    """Displacements of all points over forces at all points, shape (n, 3, 3)."""
     mass = np.diag(MASSES)
     stiffness, damping = np.diag(np.array(TO_GROUND)), np.diag(np.array(DAMPERS_TO_GROUND))
     for i, (spring, damper) in enumerate(zip(BETWEEN, DAMPERS, strict=True)):
@@ -64,25 +64,61 @@ def chain_accelerance(hertz: FloatArray, stiffer: float = 1.0) -> ComplexArray:
         stiffness, damping = stiffness + spring * np.outer(pair, pair), damping + damper * np.outer(pair, pair)
     omega = 2.0 * np.pi * hertz
     dynamic = stiffer * stiffness - omega[:, None, None] ** 2 * mass + 1j * omega[:, None, None] * damping
-    return np.asarray(-(omega[:, None] ** 2) * np.linalg.solve(dynamic, np.eye(3)[:, :1])[:, :, 0])
+    return np.asarray(np.linalg.inv(dynamic))
+
+
+def chain_accelerance(
+    hertz: FloatArray, stiffer: float = 1.0, force: float = 1.0, cubic: float = 0.0, place: int = 1
+) -> ComplexArray:
+    """Accelerations over the force at point 1, shape (n, 3).
+
+    A cubic spring from a place to the ground acts by its first harmonic, 3/4 k |X|² X: |X|² is the least real root of
+    |1 + 3/4 k |X|² H|² |X|² = |H₁ F|², the branch that a rising sweep takes.
+    """
+    h = chain_receptance(hertz, stiffer)
+    receptance, driven = h[:, place - 1, place - 1], h[:, place - 1, 0] * force
+    response = h[:, :, 0].copy()
+    for i in range(hertz.size):
+        a = 0.75 * cubic * receptance[i]
+        roots = np.roots([abs(a) ** 2, 2.0 * a.real, 1.0, -(abs(driven[i]) ** 2)]) if cubic else np.zeros(1)
+        square = float(np.min(roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots) + 1e-30]))
+        x = driven[i] / (1.0 + a * square)
+        response[i] -= h[i, :, place - 1] * 0.75 * cubic * square * x / force
+    return np.asarray(-((2.0 * np.pi * hertz[:, None]) ** 2) * response)
 
 
 def chain_tables(
-    seed: int, stated: float = 1.0, gains: Sequence[float] = (1.0, 1.0, 1.0), scatter: float = 0.005, drift: float = 0.0
+    seed: int,
+    stated: float = 1.0,
+    gains: Sequence[complex] = (1.0, 1.0, 1.0),
+    scatter: float = 0.005,
+    drift: float = 0.0,
+    *,
+    stiffer: float = 1.0,
+    cubic: float = 0.0,
+    place: int = 1,
+    late: Sequence[float] = (0.0, 0.0, 0.0),
+    band: tuple[float, float] = (6.0, 20.0),
 ) -> list[ObservableTable]:
     """Stepped sines at two forces.
 
     Args:
         seed: of the scatter.
         stated: stated uncertainty over the scatter that is there.
-        gains: of the three accelerometers.
+        gains: of the three accelerometers, complex of a turned phase.
         scatter: relative, of the real and of the imaginary part.
         drift: relative rise of all springs from the first table to the last.
+        stiffer: all springs over those of the model.
+        cubic: N/m³, of a spring from ``place`` to the ground.
+        place: point of it, from 1.
+        late: delay of each accelerometer, s.
+        band: lowest and highest frequency, Hz.
     """
-    generator, hertz, result = np.random.default_rng(seed), np.linspace(6.0, 20.0, 30), []
+    generator, hertz, result = np.random.default_rng(seed), np.linspace(*band, 30), []
     for number, level in enumerate((0.5, 2.0)):
-        for point, gain in enumerate(gains, 1):
-            response = gain * chain_accelerance(hertz, 1.0 + drift * number)[:, point - 1]
+        accelerance = chain_accelerance(hertz, stiffer + drift * number, level, cubic, place)
+        for point, (gain, delay) in enumerate(zip(gains, late, strict=True), 1):
+            response = gain * np.exp(-2j * np.pi * hertz * delay) * accelerance[:, point - 1]
             noise = generator.standard_normal((2, hertz.size))
             response = response * (1.0 + scatter * (noise[0] + 1j * noise[1]))
             std = stated * scatter * np.abs(response)
@@ -105,7 +141,16 @@ def one_mode_rig() -> Rig:
 
 
 def backbone(
-    seed: int, cubic: float = 0.0, drag: float = 0.0, scatter: float = 1e-4, stated: float = 1.0, stiffer: float = 1.0
+    seed: int,
+    cubic: float = 0.0,
+    drag: float = 0.0,
+    scatter: float = 1e-4,
+    stated: float = 1.0,
+    stiffer: float = 1.0,
+    *,
+    damped: float = 1.0,
+    wave: float = 0.0,
+    losses: float = 0.0,
 ) -> list[ObservableTable]:
     """Frequency and damping over amplitude of one mode by the first harmonic.
 
@@ -116,11 +161,16 @@ def backbone(
         scatter: relative, of the frequency; of the damping a hundred times as much.
         stated: stated uncertainty over the scatter that is there.
         stiffer: stiffness over that of the model.
+        damped: linear damping over that of the model.
+        wave: relative size of a wave that the frequency has over the logarithm of the amplitude, which no law makes.
+        losses: the same of the damping.
     """
     generator, amplitude = np.random.default_rng(seed), np.geomspace(2e-5, 1e-3, 12)
     spring = MASS * (2.0 * np.pi * HERTZ) ** 2
-    omega = np.sqrt((stiffer * spring + 0.75 * cubic * amplitude**2) / MASS)
-    ratio = RATIO * 2.0 * np.pi * HERTZ / omega + 8.0 / (3.0 * np.pi) * drag * amplitude / (2.0 * MASS)
+    course = np.sin(3.0 * np.pi * np.linspace(0.0, 1.0, amplitude.size))
+    omega = np.sqrt((stiffer * spring + 0.75 * cubic * amplitude**2) / MASS) * (1.0 + wave * course)
+    ratio = damped * RATIO * 2.0 * np.pi * HERTZ / omega + 8.0 / (3.0 * np.pi) * drag * amplitude / (2.0 * MASS)
+    ratio = ratio * (1.0 + losses * course)
     hertz = omega / (2.0 * np.pi) * (1.0 + scatter * generator.standard_normal(amplitude.size))
     ratio = ratio * (1.0 + 100.0 * scatter * generator.standard_normal(amplitude.size))
     columns = {

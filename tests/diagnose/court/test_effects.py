@@ -11,6 +11,7 @@ from nmt_diagnose.ledger.diagnosis import Verdict
 HEALTHY = (Verdict.NONE, Verdict.CALIBRATION)
 
 
+@pytest.mark.court(not_said="effect")
 @pytest.mark.parametrize("stated", [0.3, 1.0, 3.0])
 def test_a_healthy_table_has_no_effect(stated: float) -> None:
     """Uncertainties that are stated too small or too large, and gains a little beyond an ordinary chain."""
@@ -26,18 +27,21 @@ def test_healthy_tables_have_no_effect(seed: int) -> None:
     assert diagnosed(chain_rig(), chain_tables(seed, stated, gains)).verdict in HEALTHY
 
 
+@pytest.mark.court(not_said="effect")
 @pytest.mark.parametrize("stated", [0.3, 1.0, 3.0])
 @pytest.mark.parametrize("stiffer", [1.0, 1.02])
 def test_a_healthy_backbone_has_no_effect(stated: float, stiffer: float) -> None:
     assert diagnosed(one_mode_rig(), backbone(2, stated=stated, stiffer=stiffer)).verdict in HEALTHY
 
 
+@pytest.mark.court(not_said="effect")
 def test_a_gain_of_two_and_a_half_per_cent_is_no_stop_and_no_mass() -> None:
     """All three accelerometers louder by two and a half tolerances, which one law cannot stand in for."""
     found = diagnosed(chain_rig(), chain_tables(3, 3.0, (1.025, 0.975, 1.025)))
     assert found.verdict in HEALTHY
 
 
+@pytest.mark.court(said="effect")
 def test_a_cubic_spring_is_named() -> None:
     found = diagnosed(one_mode_rig(), backbone(4, cubic=3e9))
     assert found.verdict is Verdict.EFFECT
@@ -45,12 +49,14 @@ def test_a_cubic_spring_is_named() -> None:
     assert found.ranking[0].parameters["k"].value == pytest.approx(3e9, rel=0.1)
 
 
+@pytest.mark.court(said="effect")
 def test_air_drag_is_named() -> None:
     found = diagnosed(one_mode_rig(), backbone(5, drag=20.0))
     assert found.verdict is Verdict.EFFECT
     assert "air_drag" in (found.ranking[0].effect, *found.ranking[0].equivalents)
 
 
+@pytest.mark.court(said="effect")
 def test_a_gain_of_a_fifth_is_named_with_its_channel() -> None:
     found = diagnosed(chain_rig(), chain_tables(6, 1.0, (1.0, 1.2, 1.0)))
     assert found.verdict is Verdict.EFFECT

@@ -34,6 +34,7 @@ def altered(kind: str) -> Diagnosis:
     return diagnosed(chain_rig(), tables)
 
 
+@pytest.mark.court(not_said="no gap")
 @pytest.mark.parametrize("kind", ["size", "phase"])
 def test_no_gap_is_said_beside_no_figure_that_contradicts_it(kind: str) -> None:
     """The course of one channel is smooth and wrong by tens of per cent: no scatter, and no noise of any scale."""
@@ -42,6 +43,7 @@ def test_no_gap_is_said_beside_no_figure_that_contradicts_it(kind: str) -> None:
     assert not contradicts_itself(found)
 
 
+@pytest.mark.court(not_said="no gap")
 def test_no_gap_is_not_said_of_limit_cycles() -> None:
     """Two amplitudes that a self-excited structure keeps: their damping is zero, and that of the model is not."""
     (table,) = backbone(11)
@@ -52,6 +54,7 @@ def test_no_gap_is_not_said_of_limit_cycles() -> None:
     assert "% of the damping in test 0" in found.sentences[0]
 
 
+@pytest.mark.court(said="no gap")
 @pytest.mark.parametrize("seed", [9, 10])
 def test_no_gap_is_said_of_a_healthy_table(seed: int) -> None:
     found = diagnosed(chain_rig(), chain_tables(seed))

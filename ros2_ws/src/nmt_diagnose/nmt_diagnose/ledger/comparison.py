@@ -302,8 +302,8 @@ class Hypotheses:
         each = sum(
             -math.log(len(self._spots)) - math.log(self._spots[found.candidates[k].effect.name]) for k in found.stated
         )
-        # The limit is an estimate: beyond it the prior falls as that of Cauchy, and what is far beyond loses to a law of
-        # the same course without such a limit, not to nothing at all.
+        # The limit is an estimate: beyond it the prior falls as that of Cauchy, and what is far beyond loses to a law
+        # of the same course without such a limit, not to nothing at all.
         each -= sum(math.log1p(far**2) for far in beyond_physical_limits(found).values())
         # Two effects come in either order.
         share = (

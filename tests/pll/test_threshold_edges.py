@@ -7,20 +7,28 @@ from collections import deque
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
+from nmt_core.messages.records import LevelCommand
+from nmt_core.vocabulary import ControlKind, LoopState
 from nmt_pll.amplitude.response_control import ResponseController
-from nmt_pll.force_control.force_controller import ForceController, most_harmonics
+from nmt_pll.force_control.force_controller import ForceController, ForceSetup, most_harmonics
 from nmt_pll.force_control.force_per_volt import fundamental_gain
 from nmt_pll.force_control.gain_estimate import GainEstimate
 from nmt_pll.force_control.modal_power_ratio import ModalPowerRatio, check_modes
 from nmt_pll.force_control.mode_shape_targets import ModeShapeTargets
+from nmt_pll.loop_settings import LoopSettings
+from nmt_pll.open_loop.sweep_loop import SteppedSineLoop, _Stage
+from nmt_pll.secondary import secondary_loop
+from nmt_pll.secondary.secondary_loop import SecondaryResonanceLoop
 from nmt_pll.self_excited.self_excited_control import AmplitudeLaw, SelfExcitedPlant
-from nmt_pll.self_excited.self_excited_loop import SelfExcitedLoop
+from nmt_pll.self_excited.self_excited_loop import SelfExcitedLoop, _Act
+from nmt_pll.thresholds import SECONDARY
 
 
 def waits(error: float) -> bool:
@@ -188,6 +196,128 @@ def detuned(share: float) -> bool:
     return bool(SelfExcitedLoop.obstacle(loop, dwell, 1.0))
 
 
+def settled_without_noise(share: float) -> bool:
+    """Whether a harmonic is settled at a deviation of a share of the fundamental, in a controller as it is set up."""
+    setup = ForceSetup(2, 1.0, 0.01, 0, 0.0, 10)
+    values = np.array([[0.0, share]])
+    found = controller(
+        setup=setup, _mean=values, _deviation=values.astype(complex),
+        _noise=np.zeros((1, 2)), _record=SimpleNamespace(mean_std=lambda noise: noise),
+    )  # fmt: skip
+    return bool(ForceController.settled.fget(found)[0, 1])  # type: ignore[attr-defined]
+
+
+def largest_step() -> float:
+    """Change of a harmonic's voltage in a block over the amplitude, where half of the amplitude would be needed."""
+    zero = np.zeros((1, 2), dtype=complex)
+    found = controller(
+        terms=zero, off=False, orders=np.arange(1), _rest=0, _past=deque(), _relative=False,
+        _in_drive=lambda: np.zeros((1, 3)), _held=SimpleNamespace(advance=lambda values: values),
+        _unit=lambda amplitude: amplitude, _known=lambda frequency_hz: (None, True), judge_block=lambda: None,
+        quiet_share=lambda: np.ones((1, 1)), _step=lambda gain: np.array([[0.0, 1.0 + 0j]]),
+        _given_up_and_works=lambda: (None, np.ones((1, 2), dtype=bool)),
+    )  # fmt: skip
+    found._estimate.gain = lambda known: None
+    ForceController.update(found, zero, (), 10.0, 2.0, zero)
+    return abs(complex(found.terms[0, 1])) / 2.0
+
+
+def release_wait() -> int:
+    """Milliseconds from the lock at the release's amplitude to the switch, at the lag that is the last to be taken."""
+    switched: list[int] = []
+    output = SimpleNamespace(amplitude=1.0, ramp=0.0, state=LoopState.LOCKED, frequency_hz=1.0)
+    loop: Any = SimpleNamespace(
+        _level=object(), _primary=SimpleNamespace(process=lambda force, response: output), _switch_until=math.inf,
+        sample_rate=1000.0, _lag_after_switch=lambda *_: math.pi + SECONDARY.release_phase_rad - 1e-9,
+        _switch=lambda level, primary, end: switched.append(end),
+    )  # fmt: skip
+    for end in range(0, 20000, 10):
+        SecondaryResonanceLoop._release(loop, None, None, end)  # type: ignore[arg-type]
+        if switched:
+            break
+    return switched[0]
+
+
+def release_floor() -> float:
+    """Floor of the response over the amplitude of the release."""
+    loop: Any = SimpleNamespace(
+        settings=LoopSettings(), linear=None, sample_rate=1.0, _block_samples=1, _releases=0, _stage=None
+    )
+    level = LevelCommand(1, 0, 1.0, 0, 1.0, ControlKind.RESPONSE, release=1.0)
+    with patch.object(secondary_loop, "PhaseLockedLoop") as primary:
+        SecondaryResonanceLoop._begin_release(loop, level, 0)
+    return float(primary.call_args.args[1].response_floor / primary.return_value.set_level.call_args.args[0].amplitude)
+
+
+def self_excited(amplitude: float = 1.0, **more: Any) -> Any:
+    """A loop that holds a motion of 1 Hz at an amplitude of 1, and notes what it does."""
+    plant = SimpleNamespace(omega=2.0 * math.pi, quadrature_rate=0.0, rate_per_force=1.0)
+    law = SimpleNamespace(rate=1.0, update=lambda *_: 0.0)
+    known = {
+        "plant": plant, "_target": 1.0, "_from": 1.0, "_amplitude_now": amplitude, "_engaged": True, "_order": 0,
+        "_approached": 0, "sample_rate": 1000.0, "_chosen": "amplitude", "_laws": {"amplitude": law, "envelope": law},
+        "block_duration": 0.01, "_free": True, "_quadrature": 0.0, "_deadline": math.inf, "_drive": 0j,
+        "_largest": math.inf, "_from_above": True, "_ramp_end": 0, "_judged_from": math.inf, "_displacement": 1.0,
+        "_level": SimpleNamespace(amplitude=1.0, duration=math.inf), "_act": _Act.HOLD, "_tried": set(),
+        "machine": SimpleNamespace(state=LoopState.ACQUIRING), "settings": SimpleNamespace(latency_blocks=0),
+        "_window_until": 0, "_release_from": 0, "cutoff": 100.0, "_growth": 0.0, "still_growth": 1e-3,
+        "_logarithms": [math.log(amplitude)], "method": "envelope", "_settled_at": 0.5,
+    }  # fmt: skip
+    loop = SimpleNamespace(**{**known, **more}, done=[])
+    loop._begin_ramp = lambda end: None
+    loop._wanted = lambda end: 1.0
+    loop._apply = lambda rate, direction, amplitude: loop.done.append(rate)
+    for name in ("_lose", "_again", "_approach", "_open"):
+        setattr(loop, name, lambda *arguments, name=name: loop.done.append((name, arguments[0])))
+    return loop
+
+
+def held(amplitude: float, **more: Any) -> Any:
+    """A loop after one block in which it held a motion."""
+    loop = self_excited(amplitude, **more)
+    SelfExcitedLoop._hold(loop, 1j, 1.0 + 0j, 1.0 + 0j, 1.0, 1)
+    return loop
+
+
+def is_lost(change: float) -> bool:
+    return bool(held(math.exp(change), machine=SimpleNamespace(state=LoopState.LOCKED)).done[1:])
+
+
+def is_released(target: float, level: float, drive: float) -> bool:
+    """Whether a motion of amplitude 1 is left alone, by ln of target and level and by the share of the drive."""
+    known = SimpleNamespace(amplitude=math.exp(level), duration=math.inf)
+    found = held(1.0, _target=math.exp(target), _level=known, _chosen="envelope", _drive=drive, _largest=1.0)
+    return bool(found._act is _Act.FREE)
+
+
+def release_leads() -> list[float]:
+    """ln of the amplitude from which a level of 1 is released, from below and from above."""
+    found = []
+    for above in (False, True):
+        loop = self_excited(_chosen="envelope", _tried={not above})
+        SelfExcitedLoop._begin(loop, loop._level, 0)
+        found.append(math.log(loop.done[0][1]))
+    return found
+
+
+def watched(seconds: float, distance: float = -0.5) -> str:
+    """What is done with a free motion that neither grows nor falls, so far above its level in ln of the amplitude."""
+    loop = self_excited(math.exp(-distance))
+    SelfExcitedLoop._watch(loop, round(1000.0 * seconds))
+    return str(loop.done[0][0]) if loop.done else ""
+
+
+def glides(step: float) -> bool:
+    """Whether a stepped sine goes to the next frequency without a stop, by the relative step."""
+    done: list[str] = []
+    loop: Any = SimpleNamespace(
+        _stop_moving=lambda end: None, _frequency=10.0, _stage=_Stage.WINDOW, _glide=SteppedSineLoop._glide,
+        _approach=lambda *_: done.append("approach"), _fade=lambda *_: done.append("fade"),
+    )  # fmt: skip
+    SteppedSineLoop._start(loop, SimpleNamespace(frequency_hz=10.0 * (1.0 + step)), 0, False)  # type: ignore[arg-type]
+    return done == ["approach"]
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "pll.amplitude.waiting_error": (lambda: (waits(0.09), waits(0.11)), (False, True)),
     "pll.harmonics.automatic_highest": (lambda: most_harmonics(1.0, 1e4, 1.0), 15),
@@ -207,12 +337,34 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "pll.harmonics.lowest_gain_share": (gain_in_noise, 0.1),
     "pll.harmonics.noise_doubling_dwells": (doubling_dwells, pytest.approx(5.0)),
     "pll.harmonics.variance_doubling_time_constants": (doubling_time_constants, pytest.approx(20.0)),
+    "pll.harmonics.settled_share": (
+        lambda: (settled_without_noise(0.0029), settled_without_noise(0.0031)), (True, False)
+    ),
+    "pll.harmonics.largest_step_share": (largest_step, pytest.approx(0.1)),
+    "pll.secondary.release_wait_s": (release_wait, 3000),
+    "pll.secondary.response_floor_ratio": (release_floor, pytest.approx(0.02)),
+    "pll.self_excited.first_target_ratio": (
+        lambda: held(1e-9, _engaged=False).done, [pytest.approx(math.log(2.0), rel=1e-3)]
+    ),
+    "pll.self_excited.lost_lock_change": (lambda: (is_lost(-0.09), is_lost(-0.11)), (False, True)),
+    "pll.self_excited.release_log_lead": (release_leads, [pytest.approx(-0.6), pytest.approx(0.6)]),
+    "pll.self_excited.shortest_log_lead": (
+        lambda: (is_released(1.0, -0.14, 1.0), is_released(1.0, -0.16, 1.0)), (False, True)
+    ),
+    "pll.self_excited.release_log_tolerance": (
+        lambda: (is_released(0.051, 0.0, 0.0), is_released(0.049, 0.0, 0.0)), (False, True)
+    ),
+    "pll.self_excited.limit_cycle_log_distance": (
+        lambda: (watched(9.0, -0.021), watched(9.0, -0.019)), ("_again", "_open")
+    ),
+    "pll.self_excited.growth_periods": (lambda: (watched(7.9), watched(8.1)), ("", "_again")),
+    "pll.sweeps.glide_frequency_step": (lambda: (glides(0.049), glides(0.051)), (True, False)),
     "pll.self_excited.shortest_free_window_periods": (lambda: free_window(9.0), pytest.approx(6.0)),
     "pll.self_excited.free_window_log_span": (lambda: free_window(0.1), pytest.approx(8.0)),
     "pll.self_excited.settled_growth_ratio": (still, pytest.approx(5e-4)),
     "pll.self_excited.largest_detuning": (lambda: (detuned(0.9e-4), detuned(1.1e-4)), (False, True)),
     "pll.self_excited.largest_feeding_rate": (fed, pytest.approx(3.0)),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("path", EDGES)

@@ -106,7 +106,7 @@ class HarmonicsThresholds:
     settled_share: float = threshold(
         0.003, "1",
         "Settled deviation of a harmonic from its target, of the fundamental: less than calibration leaves open.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.settled_share]",
     )  # fmt: skip
     newest_value_ratio: float = threshold(
         2.0, "1",
@@ -126,7 +126,7 @@ class HarmonicsThresholds:
     largest_step_share: float = threshold(
         0.1, "1",
         "Step of a term in a block over the amplitude of the drive: a wrong gain is found out before it does harm.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_step_share]",
     )  # fmt: skip
     largest_voltage_share: float = threshold(
         1.0, "1",
@@ -257,12 +257,12 @@ class SecondaryThresholds:
     release_wait_s: float = threshold(
         3.0, "s",
         "Time after which any lag is taken for the release.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.secondary.release_wait_s]",
     )  # fmt: skip
     response_floor_ratio: float = threshold(
         0.02, "1",
         "Response over the amplitude of the release below which it is no signal.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.secondary.response_floor_ratio]",
     )  # fmt: skip
     switch_periods: float = threshold(
         2.0, "periods",
@@ -363,7 +363,7 @@ class SelfExcitedThresholds:
     first_target_ratio: float = threshold(
         2.0, "1",
         "First target over the amplitude from which the response is followed.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.first_target_ratio]",
     )  # fmt: skip
     phase_engaged_ratio: float = threshold(
         1.3, "1",
@@ -388,7 +388,7 @@ class SelfExcitedThresholds:
     lost_lock_change: float = threshold(
         0.1, "1",
         "Of a locked amplitude, or over a hundred of the frequency, that loses the lock.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.lost_lock_change]",
     )  # fmt: skip
     shortest_free_window_periods: float = threshold(
         6.0, "periods",
@@ -398,12 +398,12 @@ class SelfExcitedThresholds:
     release_log_lead: float = threshold(
         0.6, "1",
         "Of ln a, beside the amplitude to be passed, at which a motion is released.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.release_log_lead]",
     )  # fmt: skip
     shortest_log_lead: float = threshold(
         0.15, "1",
         "The same where the drive carries no further.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.shortest_log_lead]",
     )  # fmt: skip
     settled_growth_ratio: float = threshold(
         5e-4, "1",
@@ -413,7 +413,7 @@ class SelfExcitedThresholds:
     limit_cycle_log_distance: float = threshold(
         0.02, "1",
         "Of ln a: a level that is the amplitude of a settled motion.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.limit_cycle_log_distance]",
     )  # fmt: skip
     free_window_log_span: float = threshold(
         0.8, "1",
@@ -423,12 +423,12 @@ class SelfExcitedThresholds:
     release_log_tolerance: float = threshold(
         0.05, "1",
         "Of ln a short of the amplitude at which a motion is to be released.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.release_log_tolerance]",
     )  # fmt: skip
     growth_periods: float = threshold(
         2.0, "periods",
         "Periods over which the growth of a free motion is measured.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.growth_periods]",
     )  # fmt: skip
 
 
@@ -479,7 +479,7 @@ class SweepThresholds:
     glide_frequency_step: float = threshold(
         0.05, "1",
         "Relative change of frequency up to which a stepped sine glides on instead of stopping.",
-        "",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.sweeps.glide_frequency_step]",
     )  # fmt: skip
 
 

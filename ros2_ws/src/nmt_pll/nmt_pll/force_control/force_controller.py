@@ -31,7 +31,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -97,7 +97,7 @@ class ForceSetup:
     voltage_limit: float = 0.0
     slew_limit: float = 0.0
     sample_rate: float = 1e4
-    tolerance: float = HARMONICS.settled_share
+    tolerance: float = field(default_factory=lambda: HARMONICS.settled_share)
 
 
 class ForceController:

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, Literal
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from diagnose.test_threshold_edges import same_class
 from diagnose.test_warnings import GAP
 from scipy.special import ndtri
 
+from nmt_diagnose.chain.modes_left_out import ModesLeftOut
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.structure_effects import spots
@@ -25,12 +27,14 @@ from nmt_diagnose.ledger.gap import closed
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import IN_REACH, PROMISING, furthest_credible
 from nmt_diagnose.ledger.size import size_of_change
+from nmt_diagnose.ledger.sources import SourceColumn, _families, _smooth
 from nmt_diagnose.measurements.backbone_table.reading import scatter_about_a_course
 from nmt_diagnose.measurements.stepped_responses.table_reading import scatter_of_lines
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.noise.floors import repeatability
 from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.prediction import gaussian_motion
 from nmt_diagnose.say.remainder import remainder
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -151,12 +155,74 @@ def phase_sigma() -> float:
     return float(sigma_of(replace(observations, rows=rows, chains=(MeasuringChain(),)))[0])
 
 
+def smooth_courses(distance: float) -> int:
+    """Smooth courses over two levels that lie so many lengths apart."""
+    return int(_smooth(np.eye(2), np.array([0.0, distance]), 1.0).shape[1])
+
+
+def correlation_of_sources(per: Literal["level", "line"], distance: float) -> float:
+    """Correlation of what an unnamed source does at two levels or lines, by their distance in ln."""
+    x = np.array([1.0, math.exp(distance)])
+    rows = SimpleNamespace(harmonic=np.zeros(2), level=np.arange(2), amplitude=x, frequency_hz=x)
+    names = [SourceColumn("test", per, number) for number in (0, 1)]
+    families = _families(np.eye(2), names, SimpleNamespace(rows=rows))  # type: ignore[arg-type]
+    courses = families[0 if per == "level" else -1][1]
+    covariance = courses @ courses.T
+    return float(covariance[0, 1] / covariance[0, 0])
+
+
+def nearest_poles(ratio: float) -> int:
+    """Poles that are followed one by one, of one below the band of a test and one above it by a ratio."""
+    model: Any = SimpleNamespace(
+        poles=1j * np.array([10.0 / ratio, 20.0 * ratio]), displacement=np.ones((1, 2)), inputs=np.ones((2, 1))
+    )
+    followed: list[int] = []
+
+    def settled(lines: Any, near: Any, *_: Any) -> tuple[Any, Any, bool]:
+        followed.append(near[0].size)
+        return None, None, False
+
+    tables: Any = SimpleNamespace(elements=())
+    at_rest = np.zeros(1), np.zeros(1)
+    with patch.object(gaussian_motion, "_settled", settled):
+        omega = np.array([10.0, 20.0])
+        gaussian_motion.forces_in_motion(model, tables, np.ones(1, bool), at_rest, (), omega, 1.0, np.ones(1))  # type: ignore[arg-type]
+    return followed[0]
+
+
+def compared_with(log_ratio: float) -> float:
+    """ln of the response that an addition is compared with, over the model's, by ln of the measured one over it."""
+    part = np.array([int(Part.LOG_MAGNITUDE)])
+    rows = SimpleNamespace(
+        test=np.zeros(1, dtype=int), part=part, level=np.zeros(1, dtype=int), channel=np.zeros(1, dtype=int),
+        frequency_hz=np.ones(1),
+    )  # fmt: skip
+    modes: Any = SimpleNamespace(
+        rows=rows, observations=SimpleNamespace(values=np.array([log_ratio])), selected=np.zeros(1, dtype=int),
+        forward=SimpleNamespace(difference=lambda left, right: left - right),
+    )  # fmt: skip
+    modes._logarithms = lambda *arguments: ModesLeftOut._logarithms(modes, *arguments)
+    test: Any = SimpleNamespace(measured_responses=lambda level, channel: None)
+    base: Any = SimpleNamespace(values=np.zeros(1))
+    return float(np.log(ModesLeftOut._between(modes, test, 0, np.zeros(1, dtype=int), base))[0].real)
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "candidates.clip_depth": (lambda: clip_depths(0.0)[0], pytest.approx((0.1, 2.0))),
     "candidates.clip_depth_at_level": (lambda: clip_depths(1.0)[0], pytest.approx((0.5, math.exp(0.5)))),
     "candidates.least_motion_share": (lambda: (moving(0.9e-3), moving(1.1e-3)), (1, 2)),
     "comparison.equivalent_sigmas": (lambda: (same_class(2.9, 10.0), same_class(3.1, 10.0)), (True, False)),
     "comparison.incredible_probability": (lambda: furthest_credible(1), pytest.approx(-ndtri(0.005))),
+    # The smaller eigenvalue of two courses over the larger is (1 - c) / (1 + c), c = exp(-d² / 2).
+    "comparison.source_least_eigenvalue": (lambda: (smooth_courses(0.195), smooth_courses(0.205)), (1, 2)),
+    "comparison.source_level_length": (
+        lambda: correlation_of_sources("level", 1.5), pytest.approx(math.exp(-0.5))
+    ),
+    "comparison.source_line_length": (lambda: correlation_of_sources("line", 0.7), pytest.approx(math.exp(-0.5))),
+    "prediction.far_pole_ratio": (lambda: (nearest_poles(2.9), nearest_poles(3.1)), (2, 0)),
+    "misfit.large_log_ratio": (
+        lambda: (compared_with(0.9), compared_with(1.1)), (pytest.approx(0.45), pytest.approx(1.1))
+    ),
     "fits.scale_degrees_of_freedom": (
         lambda: groups_of(run_observations(levels=3), np.zeros(51)).degrees[0], pytest.approx(6.0)
     ),

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ from nmt_diagnose.fit.misfit import misfit_of
 from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.ledger.held_out import splits
+from nmt_diagnose.ledger.judgement import _alone
 from nmt_diagnose.ledger.warnings import warned
 from nmt_diagnose.measurements.backbone_table.reading import scatter_about_a_course
 from nmt_diagnose.measurements.driven_record.reading import refinement
@@ -33,7 +35,8 @@ from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.search.search import Search
 from nmt_rig.rig import Rig
-from nmt_signals.decays.decay_signal import ridges, slow_amplitude
+from nmt_signals.decays.decay_reading import _pays
+from nmt_signals.decays.decay_signal import _clear, ridges, slow_amplitude
 from nmt_signals.decays.half_cycles import half_cycle_nodes
 from nmt_signals.frequency_responses import averaged_spectra
 
@@ -165,6 +168,51 @@ def late(delay_s: float) -> int:
     return len(late_channels(SimpleNamespace(delays={"a": delay_s}, omega=100.0), ["a"]))  # type: ignore[arg-type]
 
 
+def stands_out(ratio: float) -> bool:
+    """Whether a peak of a power over that around it is one."""
+    power = np.ones(41)
+    power[20] = ratio
+    return _clear(power, 20)
+
+
+def narrower_pays(ratio: float) -> bool:
+    """Whether a narrower band is taken by the uncertainty of its frequency over that of a wider one."""
+    log = np.linspace(0.0, -1.0, 10)
+    wider, narrower = (
+        SimpleNamespace(
+            slow=SimpleNamespace(log=log), good=[SimpleNamespace(first=0, stop=10, omega=1.0, omega_std=std)]
+        )
+        for std in (1e-3, ratio * 1e-3)
+    )
+    return _pays(narrower, wider, 0.0)  # type: ignore[arg-type]
+
+
+def diverged(rise: float) -> bool:
+    """Whether a fit with an effect has diverged, by the rise of its cost over that without."""
+    search: Any = SimpleNamespace(
+        candidates=[SimpleNamespace(cause="a")], lost=set(), parametrisation=lambda *_: None,
+        best=lambda *_, **__: SimpleNamespace(fit=SimpleNamespace(cost=rise)),
+    )  # fmt: skip
+    fit = SimpleNamespace(parametrisation=None, cost=0.0, theta=np.zeros(1))
+    base: Any = SimpleNamespace(fit=fit, candidates=())
+    score: Any = SimpleNamespace(candidate=0, start=np.ones(1))
+    with (
+        patch("nmt_diagnose.search.search.spread_at", lambda *_: 1.0),
+        patch("nmt_diagnose.search.search.strength_position", lambda candidate: 0),
+        patch("nmt_diagnose.search.search.at_strength", lambda candidate, start, strength: start),
+    ):
+        return Search.added(search, base, score) is None
+
+
+def recalibrates(fall: float) -> float:
+    """How far the fall of the cost by the model's own parameters is a calibration."""
+    findings: Any = SimpleNamespace(
+        data=None, null=SimpleNamespace(fit=SimpleNamespace(cost=0.0)), as_given_errors=SimpleNamespace(cost=fall),
+        comparison=SimpleNamespace(log_odds=0.0), inadequate=(), factors=(), unexplained=(0.0,), contradiction=None,
+    )  # fmt: skip
+    return float(_alone(findings, None).left_without)  # type: ignore[arg-type]
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "signals.decays.fewest_periods": (lambda: (too_short(6.0, 20.0), too_short(14.0, 20.0)), (True, False)),
     "signals.decays.fewest_samples_per_period": (lambda: (too_short(40.0, 2.7), too_short(40.0, 3.4)), (True, False)),
@@ -177,6 +225,10 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "signals.decays.turning_smallest_share": (
         lambda: abs(nodes(40.0, fall=0.4) - math.log(50.0) / 0.4) <= 1.5, True
     ),
+    "signals.decays.ridge_peak_ratio": (lambda: (stands_out(19.0), stands_out(21.0)), (False, True)),
+    "signals.decays.narrower_gain": (lambda: (narrower_pays(0.51), narrower_pays(0.49)), (False, True)),
+    "search.lost_cost_rise": (lambda: (diverged(19.0), diverged(21.0)), (False, True)),
+    "verdict.recalibration_cost_fall": (lambda: recalibrates(20.0), pytest.approx(0.8)),
     "signals.fits.fewest_averages": (lambda: (averages(2), averages(3)), (True, False)),
     "noise.settling_fewest": (lambda: (transient(5), transient(6)), (False, True)),
     "noise.stepped_fewest_for_scatter": (lambda: (math.isnan(lines(11)), math.isnan(lines(12))), (True, False)),

@@ -92,15 +92,15 @@ class ComparisonThresholds:
     source_level_length: float = threshold(
         1.5, "ln level",
         "Range of ln level over which an unnamed source keeps its size.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.source_level_length]",
     )  # fmt: skip
     source_line_length: float = threshold(
         0.7, "ln frequency",
         "Range of ln frequency over which an unnamed source keeps its size.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.source_line_length]",
     )  # fmt: skip
     source_least_eigenvalue: float = threshold(
         0.01, "1",
         "Share of the largest eigenvalue below which a smooth course adds nothing.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.source_least_eigenvalue]",
     )  # fmt: skip

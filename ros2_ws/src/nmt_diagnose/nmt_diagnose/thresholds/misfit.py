@@ -49,7 +49,7 @@ class MisfitThresholds:
     large_log_ratio: float = threshold(
         1.0, "ln",
         "Measured over predicted magnitude at which no mean lies between them.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[misfit.large_log_ratio]",
     )  # fmt: skip
     shape_reach: float = threshold(
         2.0, "1",

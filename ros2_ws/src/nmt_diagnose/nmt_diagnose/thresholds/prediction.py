@@ -69,7 +69,7 @@ class PredictionThresholds:
     far_pole_ratio: float = threshold(
         3.0, "1",
         "Poles beyond the band by that factor hardly move those in it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[prediction.far_pole_ratio]",
     )  # fmt: skip
     unit_source_share: float = threshold(
         0.01, "1",

@@ -77,7 +77,7 @@ class SearchThresholds:
     lost_cost_rise: float = threshold(
         20.0, "−2 ln p",
         "Rise of the cost over the fit without the effect from which a fit has diverged.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[search.lost_cost_rise]",
     )  # fmt: skip
     other_locations_share: float = threshold(
         0.1, "1",

@@ -20,7 +20,7 @@ class VerdictThresholds:
         25.0, "−2 ln p",
         "Fall of the cost by the model's parameters alone from which that is a calibration: five standard "
         "deviations.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[verdict.recalibration_cost_fall]",
     )  # fmt: skip
     partial_closed_share: float = threshold(
         0.8, "1",

@@ -74,7 +74,7 @@ class DecayThresholds:
     ridge_peak_ratio: float = threshold(
         20.0, "1",
         "Power of a peak over the median around it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.ridge_peak_ratio]",
     )  # fmt: skip
     turning_fewest_samples: int = threshold(
         10, "samples",
@@ -119,7 +119,7 @@ class DecayThresholds:
     narrower_gain: float = threshold(
         0.5, "1",
         "Share of the uncertainty from which a narrower band is taken.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.narrower_gain]",
     )  # fmt: skip
     largest_log_std: float = threshold(
         0.03, "1",

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 import nmt
 from nmt_bench.cli import main
@@ -89,6 +90,7 @@ def test_export(form: str, run: Path, tmp_path: Path) -> None:
     assert len(Bag.open(tmp_path / "again").lock_events()) == 2
 
 
+@pytest.mark.parametrize("run", with_quick(RELEASES, RELEASES[0]), indirect=True)
 def test_diagnosis(run: Path, tmp_path: Path) -> None:
     words = ["diagnose", "--quiet", "--jobs", "1", "--model", str(run / "rig.yaml"), "--real", str(run), *FEW]
 

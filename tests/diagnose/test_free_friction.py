@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.numerics.kernels import njit
@@ -134,7 +135,7 @@ def decay(contact: float, slip: float, seed: int = 1) -> FloatArray:
     return np.asarray(angle + 1e-5 * np.random.default_rng(seed).standard_normal(angle.size))
 
 
-@pytest.mark.parametrize("contact", [800.0, RIGID])
+@pytest.mark.parametrize("contact", with_quick([800.0, RIGID], RIGID))
 def test_friction_ends_a_decay(tmp_path: Path, contact: float) -> None:
     _, found = diagnosed(tmp_path, PENDULUM, {"angle 1": decay(contact, 0.15)}, "ring_down")
     assert_friction(found, 0.15, contact)
@@ -168,7 +169,7 @@ def test_coulomb_friction_has_the_damping_of_its_work(tmp_path: Path) -> None:
     np.testing.assert_allclose(observations.values[damping][large], expected[large], rtol=0.03)
 
 
-@pytest.mark.parametrize("contact", [20.0, 800.0, RIGID])
+@pytest.mark.parametrize("contact", with_quick([20.0, 800.0, RIGID], 20.0, 800.0))
 def test_friction_in_a_record(tmp_path: Path, contact: float) -> None:
     torque = band(8000, 2.0, 9.0, 0.5, 3)
     angle = swung(finer(torque), 1.0 / (RATE * FINER), contact, 0.15, 0.0)[::FINER]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Ranked, Recalibrated, Share, Value, Verdict
@@ -46,7 +47,12 @@ def test_alike_units_are_the_weighted_mean():
 
 
 @pytest.mark.parametrize(
-    ("between", "low", "high"), [(0.0, 0.95, 1.0), (1.0, 0.95, 0.99), (3.0, 0.93, 0.97), (30.0, 0.93, 0.97)]
+    ("between", "low", "high"),
+    with_quick(
+        [(0.0, 0.95, 1.0), (1.0, 0.95, 0.99), (3.0, 0.93, 0.97), (30.0, 0.93, 0.97)],
+        (0.0, 0.95, 1.0),
+        (3.0, 0.93, 0.97),
+    ),
 )
 def test_the_band_holds_the_next_unit(between, low, high):
     random = np.random.default_rng(11)

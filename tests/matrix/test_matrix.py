@@ -97,7 +97,7 @@ def rows() -> Iterator[Any]:
             controls = (False, True) if "harmonics_control" in KINDS[kind].FROM_RIG else (False,)
             for controlled in controls:
                 # With controlled harmonics all is asked that is asked without.
-                plain = len(controls) > 1 and not controlled and kind is not TestKind.PHASE_RESONANCE
+                plain = len(controls) > 1 and not controlled
                 quick = exciters in FIRST_TIER and not plain
                 marks = () if quick else (pytest.mark.campaign,)
                 name = f"{kind.label}, {exciters}{', controlled harmonics' if controlled else ''}"

@@ -30,7 +30,7 @@ class Cabled(Specimen):
 
 def outcome(gains=(1.0, 1.0), swapped=False, faults=()):
     """Result with cables from output to amplifier that have these gains, or are exchanged."""
-    rig = load_rig("frame", ["sample_rate_hz=4000", "block_samples=200"])
+    rig = load_rig("frame", ["sample_rate_hz=2000", "block_samples=100"])
     section = device_of(rig, "portaudio")
     driven = []
 

@@ -19,6 +19,7 @@ import yaml
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
@@ -379,7 +380,7 @@ def judged(made: Made) -> tuple[str, list[str]]:
     return ("asked" if every else "right"), every
 
 
-@pytest.mark.parametrize("part", range(3))
+@pytest.mark.parametrize("part", with_quick(range(3), 0))
 def test_a_bag_is_read_right_or_asked_about(part: int, tmp_path: Path) -> None:
     results = []
     for seed in range(part, BAGS, 3):

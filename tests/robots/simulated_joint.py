@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -77,15 +78,16 @@ def _simulated(
     step = time[1] - time[0]
     inertia = INERTIA + MASS * LENGTH**2 + armature
     q, v = np.empty(len(time)), np.empty(len(time))
-    angle, speed = float(command[0]), 0.0
+    commanded, step = command.tolist(), float(step)
+    angle, speed = commanded[0], 0.0
     torque = 0.0
     for row in range(len(time)):
         if row % 4 == 0:
-            torque = kp * (command[row] - angle) - kd * speed
+            torque = kp * (commanded[row] - angle) - kd * speed
         q[row], v[row] = angle, speed
-        others = torque - MASS * GRAVITY * LENGTH * np.sin(angle) - (more(angle, speed) if more else 0.0)
+        others = torque - MASS * GRAVITY * LENGTH * math.sin(angle) - (more(angle, speed) if more else 0.0)
         free = speed + step * (others - damping * speed) / inertia
         limit = step * coulomb / inertia
-        speed = np.sign(free) * max(abs(free) - limit, 0.0)
+        speed = math.copysign(max(abs(free) - limit, 0.0), free)
         angle += step * speed
     return q, v

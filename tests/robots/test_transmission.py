@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
 ARMATURE, DAMPING, COULOMB = 0.03, 0.2, 0.5
 
 
+@cache
 def log_behind(stiffness: float, gap: float, damper: float) -> dict[str, Any]:
     """A log of 24 s at 500 Hz of the motor; its drive runs at the same rate, the bodies at 8 kHz."""
     fine, rate = 16, 500
@@ -29,20 +32,21 @@ def log_behind(stiffness: float, gap: float, damper: float) -> dict[str, Any]:
     kp, kd = 60.0, 1.5
     inertia = INERTIA + MASS * LENGTH**2
     q, v = np.empty(rows), np.empty(rows)
-    motor = link = float(command[0])
+    commanded = command.tolist()
+    motor = link = commanded[0]
     motor_speed = link_speed = 0.0
     for row in range(rows):
         q[row], v[row] = motor, motor_speed
-        torque = kp * (command[row] - motor) - kd * motor_speed
+        torque = kp * (commanded[row] - motor) - kd * motor_speed
         for _ in range(fine):
             twist = motor - link
             beyond = twist - min(max(twist, -0.5 * gap), 0.5 * gap)
             passed = stiffness * beyond + (damper * (motor_speed - link_speed) if beyond or not gap else 0.0)
-            link_speed += step * (passed - MASS * GRAVITY * LENGTH * np.sin(link)) / inertia
+            link_speed += step * (passed - MASS * GRAVITY * LENGTH * math.sin(link)) / inertia
             link += step * link_speed
             free = motor_speed + step * (torque - passed - DAMPING * motor_speed) / ARMATURE
             slowed = step * COULOMB / ARMATURE
-            motor_speed = np.sign(free) * max(abs(free) - slowed, 0.0)
+            motor_speed = math.copysign(max(abs(free) - slowed, 0.0), free)
             motor += step * motor_speed
     q = q + 1e-5 * np.random.default_rng(7).standard_normal(rows)
     return {
@@ -63,6 +67,7 @@ def test_a_transmission_that_gives_way_is_named_with_its_stiffness(tmp_path: Pat
     assert joint.terms[0].value == pytest.approx(70.0, rel=0.2)
     assert abs(joint.terms[0].value - 70.0) < 3.0 * joint.terms[0].std
     assert joint.left < 0.5 * joint.plain
+    assert joint.cause == "elastic transmission, stiffness"
 
 
 def test_backlash_is_named_with_its_gap(tmp_path: Path) -> None:
@@ -78,15 +83,13 @@ def test_a_rigid_joint_has_none_whatever_its_friction(tmp_path: Path, monkeypatc
     assert joint.cause == "Coulomb friction"
 
 
-@pytest.mark.parametrize(
-    ("limits", "named"), [({}, True), ({"gives_way": 0.02}, False), ({"may_give_way": 0.9}, False)]
-)
-def test_what_is_looked_into_and_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: dict[str, float], named: bool
+@pytest.mark.parametrize("limits", [{"gives_way": 0.02}, {"may_give_way": 0.9}])
+def test_what_is_not_looked_into_is_not_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: dict[str, float]
 ) -> None:
     monkeypatch.setattr(transmission_verdict, "THRESHOLDS", replace(transmission_verdict.THRESHOLDS, **limits))
     (joint,) = diagnosed(tmp_path, log_behind(70.0, 0.0, 0.2)).joints
-    assert (joint.cause == "elastic transmission, stiffness") is named
+    assert joint.cause != "elastic transmission, stiffness"
 
 
 def test_nothing_is_named_beside_a_clock_that_is_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.records import DriveCommand, LoopStatus
@@ -111,8 +112,11 @@ def table(factor: complex) -> str:
     return json.dumps([[frequency, value.real, value.imag] for frequency, value in turned])
 
 
+TURNED = cmath.rect(1.0, math.radians(-150))
+
+
 @pytest.mark.parametrize(
-    "factor", [cmath.rect(1.0, math.radians(60)), cmath.rect(1.0, math.radians(-150)), 2.0, None], ids=str
+    "factor", with_quick([cmath.rect(1.0, math.radians(60)), TURNED, 2.0, None], TURNED, None), ids=str
 )
 def test_a_force_per_volt_that_is_wrong_or_not_known_makes_no_difference_in_the_end(factor):
     known = "" if factor is None else table(factor)
@@ -127,7 +131,7 @@ def test_a_force_per_volt_that_is_wrong_or_not_known_makes_no_difference_in_the_
         assert max(abs(term.value) for terms in first for term in terms) == pytest.approx(0.02 * ONSET[0])
 
 
-@pytest.mark.parametrize("limit", [1.505, 1.56])
+@pytest.mark.parametrize("limit", with_quick([1.505, 1.56], 1.505))
 def test_at_the_voltage_limit_harmonics_are_given_up_by_name_and_the_level_goes_on(limit):
     _, result, drives, reasons = run((0.3308, 1.5), harmonics_control=9, overrides=[f"limits.voltage_v={limit}"])
     assert [point.status for point in result.points] == [PointStatus.OK] * 2

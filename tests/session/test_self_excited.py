@@ -48,7 +48,7 @@ def errors(name: str, points: list[ModalPoint]) -> tuple[np.ndarray, np.ndarray]
 @pytest.mark.parametrize(
     ("name", "latency", "noise"),
     [
-        ("subcritical", 0, False),
+        pytest.param("subcritical", 0, False, marks=pytest.mark.campaign),
         pytest.param("belt", 0, False, marks=pytest.mark.campaign),
         ("belt", 3, True),
         pytest.param("subcritical", 3, True, marks=pytest.mark.campaign),

@@ -67,6 +67,15 @@ def test_the_band_holds_the_next_unit(between, low, high):
     assert alarms / trials <= FALSE_ALARM + 3.0 * np.sqrt(FALSE_ALARM / trials)
 
 
+def test_the_false_alarms_of_a_group_are_shared_by_its_parameters():
+    """Eight parameters of five units that are alike: 2 % of groups, where each parameter alone would make it 11 %."""
+    random, alarms, trials, parameters = np.random.default_rng(12), 0, 300, 8
+    for _ in range(trials):
+        groups = [estimates(random.normal(0.0, 3.0, 5), 0.3) for _ in range(parameters)]
+        alarms += any(components(group, parameters).odd for group in groups)
+    assert alarms / trials <= FALSE_ALARM + 3.0 * np.sqrt(FALSE_ALARM / trials)
+
+
 def test_an_odd_unit_is_found_and_named():
     random = np.random.default_rng(5)
     right = 0

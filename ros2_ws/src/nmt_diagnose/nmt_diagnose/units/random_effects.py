@@ -15,7 +15,7 @@ COVERAGE = 0.95
 """Of the band for the next unit."""
 
 FALSE_ALARM = 0.02
-"""Probability that any of the units of a group is called odd where none is."""
+"""Probability that any of the units of a group is called odd in any of its parameters where none is."""
 
 _FEWEST_TO_COMPARE = 4
 
@@ -81,12 +81,17 @@ class Components:
     odd: tuple[OddUnit, ...] = ()
 
 
-def components(estimates: Sequence[Estimate]) -> Components:
+def components(estimates: Sequence[Estimate], parameters: int = 1) -> Components:
     """Means and variance components in two stages, each by the estimator of Paule and Mandel (J. Res. NBS 87 (1982)).
 
     The scatter within units is pooled over those with several settings and added to the ± of each estimate. The band
     of the next unit takes Student's t of one fewer degrees of freedom than units, as the variance is estimated from
-    them. A unit is odd if Student's prediction from the others alone, at a level shared by all units, does not hold it.
+    them. A unit is odd if Student's prediction from the others alone, at a level shared by all units and by all
+    parameters of the group, does not hold it.
+
+    Args:
+        estimates: of one parameter.
+        parameters: how many the group compares.
 
     Raises:
         ValueError: fewer than two units, or an estimate that is not finite or has no uncertainty.
@@ -123,7 +128,7 @@ def components(estimates: Sequence[Estimate]) -> Components:
             UnitMean(name, float(value), float(std))
             for name, value, std in zip(names, means, np.sqrt(variances), strict=True)
         ),
-        odd=_odd(names, means, variances),
+        odd=_odd(names, means, variances, FALSE_ALARM / (means.size * parameters)),
     )
 
 
@@ -148,7 +153,7 @@ def _excess(values: FloatArray, variances: FloatArray, group: IntArray) -> float
     return float(brentq(surplus, 0.0, top, xtol=1e-12 * top))
 
 
-def _odd(names: Sequence[str], means: FloatArray, variances: FloatArray) -> tuple[OddUnit, ...]:
+def _odd(names: Sequence[str], means: FloatArray, variances: FloatArray, level: float) -> tuple[OddUnit, ...]:
     if means.size < _FEWEST_TO_COMPARE:
         return ()
     found = []
@@ -159,6 +164,6 @@ def _odd(names: Sequence[str], means: FloatArray, variances: FloatArray) -> tupl
         std = float(np.sqrt(variance + added + variances[k]))
         difference = float(means[k] - mean)
         p = float(2.0 * t.sf(abs(difference) / std, others.size - 1))
-        if p < FALSE_ALARM / means.size:
+        if p < level:
             found.append(OddUnit(name, difference, std, p))
     return tuple(sorted(found, key=lambda each: each.p))

@@ -95,10 +95,11 @@ def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
                 )
         for row in diagnosis.calibration:
             _take(found, row.name, row.unit, False, row.start, each, row.to, row.std)
-    quantities = []
-    for name, (unit, of_effect, initial, estimates) in found.items():
-        if len({estimate.unit for estimate in estimates}) > 1:
-            quantities.append(Quantity(name, unit, of_effect, initial, tuple(estimates), components(estimates)))
+    compared = {name: entry for name, entry in found.items() if len({estimate.unit for estimate in entry[3]}) > 1}
+    quantities = [
+        Quantity(name, unit, of_effect, initial, tuple(estimates), components(estimates, len(compared)))
+        for name, (unit, of_effect, initial, estimates) in compared.items()
+    ]
     quantities.sort(key=lambda quantity: not quantity.of_effect)
     units = tuple(dict.fromkeys(each.unit for each in diagnoses))
     sentences = (*_of_explanations(units, explanations), *(s for q in quantities for s in _of_quantity(q, varied)))

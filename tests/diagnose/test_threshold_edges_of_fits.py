@@ -17,6 +17,8 @@ from diagnose.test_threshold_edges import same_class
 from diagnose.test_warnings import GAP
 from scipy.special import ndtri
 
+from nmt_diagnose.chain import chain_columns
+from nmt_diagnose.chain.chain_columns import ChainBuilder
 from nmt_diagnose.chain.modes_left_out import ModesLeftOut
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.parametrisation import Parametrisation
@@ -37,6 +39,7 @@ from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction import gaussian_motion
 from nmt_diagnose.say.remainder import remainder
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import load_rig
 
 
 def clip_depths(limit: float) -> list[tuple[float, float]]:
@@ -207,6 +210,18 @@ def compared_with(log_ratio: float) -> float:
     return float(np.log(ModesLeftOut._between(modes, test, 0, np.zeros(1, dtype=int), base))[0].real)
 
 
+def change_by_a_finer_mesh(change: float) -> float:
+    """What a finer mesh counts for where it changes a row by so much."""
+    rig = load_rig("beam")
+    found: Any = SimpleNamespace(
+        rig=rig, base=SimpleNamespace(values=np.zeros(1)),
+        tests=SimpleNamespace(tests=(), rows=None, forward=SimpleNamespace(difference=np.subtract)),
+    )  # fmt: skip
+    finer = SimpleNamespace(predict=lambda rig: SimpleNamespace(values=np.array([change])))
+    with patch.object(chain_columns, "Forward", lambda *_: finer):
+        return float(ChainBuilder._mesh(found)["mesh"][0])
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "candidates.clip_depth": (lambda: clip_depths(0.0)[0], pytest.approx((0.1, 2.0))),
     "candidates.clip_depth_at_level": (lambda: clip_depths(1.0)[0], pytest.approx((0.5, math.exp(0.5)))),
@@ -222,6 +237,9 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "prediction.far_pole_ratio": (lambda: (nearest_poles(2.9), nearest_poles(3.1)), (2, 0)),
     "misfit.large_log_ratio": (
         lambda: (compared_with(0.9), compared_with(1.1)), (pytest.approx(0.45), pytest.approx(1.1))
+    ),
+    "misfit.largest_mesh_change": (
+        lambda: [change_by_a_finer_mesh(change) for change in (-0.3, 0.19, 0.3)], pytest.approx([-0.2, 0.19, 0.2])
     ),
     "fits.scale_degrees_of_freedom": (
         lambda: groups_of(run_observations(levels=3), np.zeros(51)).degrees[0], pytest.approx(6.0)

@@ -19,10 +19,11 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.ahead.apart import competing
 from nmt_diagnose.effects.sensor_effects import late_channels
+from nmt_diagnose.fit import model_alone as model_alone_module
 from nmt_diagnose.fit.explanations import Score
 from nmt_diagnose.fit.low_level_modes import Modes, disorder, modes_that_lack
 from nmt_diagnose.fit.misfit import misfit_of
-from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass
+from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, _source
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.ledger.judgement import _alone
@@ -213,6 +214,49 @@ def recalibrates(fall: float) -> float:
     return float(_alone(findings, None).left_without)  # type: ignore[arg-type]
 
 
+def sizes_of_a_source() -> list[float]:
+    """Sizes that are tried of a source whose column is a unit vector: from the prior of each that is added."""
+    tried: list[float] = []
+
+    def slogdet(matrix: np.ndarray) -> tuple[float, float]:
+        tried.append(math.sqrt(float(matrix[0, 0]) - 1.0))  # (1 + 1/s²) s² - 1
+        return 1.0, 0.0
+
+    errors = SimpleNamespace(chain=np.zeros(0), squares=np.zeros(1), weights=np.ones(2), residual=np.zeros(2))
+    groups = SimpleNamespace(
+        cost=lambda squares, counts: 0.0, sums=lambda squares: np.zeros(1), of=np.zeros(2, dtype=int),
+        weights=lambda squares, counts: np.ones(1),
+    )  # fmt: skip
+    data: Any = SimpleNamespace(groups=groups, counts=np.ones(1))
+    base: Any = SimpleNamespace(fit=SimpleNamespace(errors=errors, theta=np.zeros(1)))
+    metric: Any = SimpleNamespace(project=lambda block: (block, np.zeros((1, 1))))
+    with patch("numpy.linalg.slogdet", slogdet):
+        _source(data, base, metric, np.ones(1), np.array([[1.0], [0.0]]))
+    return sorted({round(size, 9) for size in tried})
+
+
+def is_compared(solved: int) -> bool:
+    """Whether a model is compared that has a solution for so many of a hundred rows."""
+    values = np.where(np.arange(100) < solved, 0.0, np.nan)
+    forward = SimpleNamespace(predict=lambda *_: SimpleNamespace(values=values))
+    observations: Any = SimpleNamespace(tests=(), rows=None)
+
+    def reached(*_: Any) -> Any:
+        raise ArithmeticError("reached")
+
+    with (
+        patch.object(model_alone_module, "Forward", lambda *_: forward),
+        patch.object(model_alone_module, "traced", lambda tests, prediction: tests),
+        patch.object(model_alone_module, "replace", lambda observations, **_: observations),
+        patch.object(model_alone_module, "_with_solver_error", reached),
+    ):
+        try:
+            model_alone_module.model_alone(MODEL, observations, (), np.ones(100, dtype=bool), None)  # type: ignore[arg-type]
+        except BenchError as error:
+            return "reached" in str(error)
+    return False
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "signals.decays.fewest_periods": (lambda: (too_short(6.0, 20.0), too_short(14.0, 20.0)), (True, False)),
     "signals.decays.fewest_samples_per_period": (lambda: (too_short(40.0, 2.7), too_short(40.0, 3.4)), (True, False)),
@@ -229,6 +273,8 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "signals.decays.narrower_gain": (lambda: (narrower_pays(0.51), narrower_pays(0.49)), (False, True)),
     "search.lost_cost_rise": (lambda: (diverged(19.0), diverged(21.0)), (False, True)),
     "verdict.recalibration_cost_fall": (lambda: recalibrates(20.0), pytest.approx(0.8)),
+    "comparison.source_sizes": (sizes_of_a_source, pytest.approx([0.003, 0.03, 0.3, 3.0])),
+    "fits.least_solved_share": (lambda: (is_compared(29), is_compared(31)), (False, True)),
     "signals.fits.fewest_averages": (lambda: (averages(2), averages(3)), (True, False)),
     "noise.settling_fewest": (lambda: (transient(5), transient(6)), (False, True)),
     "noise.stepped_fewest_for_scatter": (lambda: (math.isnan(lines(11)), math.isnan(lines(12))), (True, False)),

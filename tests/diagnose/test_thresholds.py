@@ -13,7 +13,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 ENTRIES = {path: (getattr(record, entry.name), entry) for path, record, entry in thresholds_of(THRESHOLDS)}
 WITNESSED = [path for path, (_, entry) in ENTRIES.items() if entry.metadata.get("test")]
 # How many have no such test yet. The number is put down when a test is written, and never up.
-WITHOUT_TEST = 23
+WITHOUT_TEST = 20
 # Moved in every run of the tests; the rest in the second tier.
 SAMPLE = ("verdict.alarm_log_odds",)
 

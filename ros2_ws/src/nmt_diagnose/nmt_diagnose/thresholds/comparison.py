@@ -72,7 +72,7 @@ class ComparisonThresholds:
     source_sizes: tuple[float, ...] = threshold(
         (0.003, 0.03, 0.3, 3.0), "% of force or response",
         "Sizes that an unnamed source may have, a decade apart.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[comparison.source_sizes]",
     )  # fmt: skip
     credible_sigmas: float = threshold(
         3.0, "prior deviations",

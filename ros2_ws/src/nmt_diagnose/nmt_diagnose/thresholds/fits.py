@@ -29,7 +29,7 @@ class FitThresholds:
     least_solved_share: float = threshold(
         0.3, "1",
         "Share of the rows below which a model without solutions cannot be compared.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[fits.least_solved_share]",
     )  # fmt: skip
     strength_std: float = threshold(
         3.0, "scales",

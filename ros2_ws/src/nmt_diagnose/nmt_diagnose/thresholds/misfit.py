@@ -59,7 +59,7 @@ class MisfitThresholds:
     largest_mesh_change: float = threshold(
         0.2, "1",
         "Near a sharp resonance or zero the change by a finer mesh is not in proportion to the error.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[misfit.largest_mesh_change]",
     )  # fmt: skip
     least_chain_error: float = threshold(
         1e-3, "1",

@@ -11,7 +11,7 @@ from diagnose.one_of_each_kind import MATTERS, locked_windows, rig_of_kinds
 from nmt_core.kinds import RandomTest
 from nmt_core.kinds.request import TestRequest
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.investigation.checks import end_contradicted, none_contradicted
+from nmt_diagnose.investigation.checks import end_contradicted, ended_record, none_contradicted
 from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, Turn
 from nmt_diagnose.observations.observables import Observations, Part
 
@@ -102,3 +102,11 @@ def test_ends_that_rest_on_their_diagnosis_stand(ended: str, verdict: str, reach
 )
 def test_ends_that_their_own_record_contradicts_do_not(liar: InvestigationRecord, words: str) -> None:
     assert words in end_contradicted(liar)
+
+
+def test_an_end_that_its_record_contradicts_is_unknown_and_says_why() -> None:
+    made = record("", "none", 0.3, conclusion="")
+    assert ended_record(made, "named", "It is a spring.").ended == "unknown"
+    assert "its last diagnosis says none. It is a spring." in ended_record(made, "named", "It is a spring.").conclusion
+    stands = ended_record(made, "no_gap", NO_GAP)
+    assert (stands.ended, stands.conclusion) == ("no_gap", f"{NO_GAP} {made.bound}")

@@ -68,18 +68,19 @@ def shape_std() -> float:
     return float(Parametrisation.prior_std.func(SimpleNamespace(calibration=(), candidates=(candidate,)))[0])  # type: ignore[attr-defined]
 
 
-def lacking(left: float, away: float = 0.0, channels: int = 1) -> int:
-    """Modes that a fit lacks, which ``channels`` of eleven miss by so much at a distance in ln frequency."""
-    line = np.full(11, 10.0 * math.exp(away))
+def lacking(left: float, away: float = 0.0, channels: int = 1, certain: bool = False, of: int = 11) -> int:
+    """Modes that a fit lacks, which ``channels`` of some miss by so much at a distance in ln frequency."""
+    line = np.full(of, 10.0 * math.exp(away))
     rows = SimpleNamespace(
-        frequency_hz=line, part=np.full(11, Part.PHASE), harmonic=np.full(11, -1), channel=np.arange(11)
+        frequency_hz=line, part=np.full(of, Part.PHASE), harmonic=np.full(of, -1), channel=np.arange(of)
     )
-    residual = np.where(np.arange(11) < channels, left, 0.0)
+    residual = np.where(np.arange(of) < channels, left, 0.0)
     data: Any = SimpleNamespace(
-        observations=SimpleNamespace(rows=rows), used=np.ones(11, dtype=bool), residual=lambda values, errors: residual
+        observations=SimpleNamespace(rows=rows), used=np.ones(of, dtype=bool), residual=lambda values, errors: residual
     )
     found: Any = SimpleNamespace(prediction=SimpleNamespace(values=None), errors=SimpleNamespace(chain=None))
-    return len(LowLevelModes.lacking(SimpleNamespace(_lacking=[(10.0, "one")]), data, found))  # type: ignore[arg-type]
+    modes: Any = SimpleNamespace(_lacking=[(10.0, "one")])
+    return len(LowLevelModes.lacking(modes, data, found, certain))
 
 
 def poles(damping: float, spacing_hz: float = 0.1, background: float = 0.0) -> int:
@@ -248,6 +249,8 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "modes.around_log_frequency": (lambda: (lacking(9.0, 0.11, 11), lacking(9.0, 0.09, 11)), (0, 1)),
     "modes.missed_sigmas": (lambda: (lacking(2.9, 0.0, 11), lacking(3.1, 0.0, 11)), (0, 1)),
     "modes.mode_share": (lambda: (lacking(9.0, 0.0, 5), lacking(9.0, 0.0, 6)), (0, 1)),
+    "modes.certain_sigmas": (lambda: [lacking(sigmas, 0.0, 11, True) for sigmas in (9.9, 10.1)], [0, 1]),
+    "modes.certain_channel_share": (lambda: [lacking(99.0, 0.0, some, True, 20) for some in (15, 16)], [0, 1]),
     "modes.highest_measured_damping": (lambda: (poles(0.055), poles(0.045)), (0, 1)),
     "modes.least_width_lines": (lambda: (poles(0.00125), poles(0.00175)), (0, 1)),
     "noise.median_relative_std": (

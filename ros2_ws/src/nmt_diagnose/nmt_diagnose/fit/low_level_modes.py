@@ -277,13 +277,7 @@ class LowLevelModes:
         """On modes that the model seems to lack, each frequency once however many tests show it."""
         return tuple(sentence for _, sentence in self._lacking)
 
-    def lacking(
-        self,
-        data: Data,
-        found: FitResult,
-        missed_from: float = THRESHOLDS.modes.missed_sigmas,
-        share: float = THRESHOLDS.modes.mode_share,
-    ) -> tuple[str, ...]:
+    def lacking(self, data: Data, found: FitResult, certain: bool = False) -> tuple[str, ...]:
         """Sentences on modes that the model lacks: channels miss what is around them in the best fit.
 
         Noise, filters and effects make poles, too; what an explanation leaves nothing of is no mode.
@@ -291,9 +285,11 @@ class LowLevelModes:
         Args:
             data: what was fitted.
             found: the fit.
-            missed_from: misfit of the lines there, standard deviations.
-            share: of the channels.
+            certain: only those that no effect can stand for.
         """
+        limits = THRESHOLDS.modes
+        missed_from = limits.certain_sigmas if certain else limits.missed_sigmas
+        share = limits.certain_channel_share if certain else limits.mode_share
         rows, left = data.observations.rows, data.residual(found.prediction.values, found.errors.chain)
         result = []
         for frequency, sentence in self._lacking:

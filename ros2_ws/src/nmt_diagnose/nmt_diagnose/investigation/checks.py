@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -87,6 +88,22 @@ def end_contradicted(record: InvestigationRecord) -> str:
     if last.tests < len(record.measured):
         return f"Its last diagnosis knows {last.tests} of {len(record.measured)} tests."
     return "" if _is_bounded(record) else "It says of levels that were not measured nothing."
+
+
+def ended_record(record: InvestigationRecord, why: str, sentence: str) -> InvestigationRecord:
+    """A record with its end: a sentence with the bound of what was measured, where it rests on a diagnosis.
+
+    An end that the record itself contradicts is `unknown`, and says what contradicts it.
+
+    Args:
+        record: without its end.
+        why: kind of the end.
+        sentence: what it states.
+    """
+    bound = record.bound if record.turns else ""
+    made = replace(record, ended=why, conclusion=f"{sentence} {bound}".rstrip())
+    contradicted = end_contradicted(made)
+    return replace(made, ended="unknown", conclusion=f"{contradicted} {made.conclusion}") if contradicted else made
 
 
 def _is_bounded(record: InvestigationRecord) -> bool:

@@ -16,6 +16,7 @@ from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.effects.library import ALIKE_AT_EVERY_LEVEL
 from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.investigation.answers import answers_of, end_of, entropy_of, reason, worth
+from nmt_diagnose.investigation.checks import ended_record
 from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, Turn
 from nmt_diagnose.ledger.diagnosis import HIDDEN, Diagnosis, NextTest, Verdict
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -380,9 +381,8 @@ class Investigation:
         return f"{best.test} would, by {best.expected_sigma:.0f}" + (f"; also {' or '.join(others)}" if others else "")
 
     def _end(self, why: str, sentence: str) -> None:
-        """End with a sentence; one that rests on a diagnosis has the bound of what was measured."""
-        bound = self.record.bound if self.record.turns else ""
-        self.record = replace(self.record, ended=why, conclusion=f"{sentence} {bound}".rstrip())
+        """End with a sentence, unless the record contradicts it."""
+        self.record = ended_record(self.record, why, sentence)
         self._written()
 
 

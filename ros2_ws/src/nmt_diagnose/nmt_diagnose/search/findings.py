@@ -137,9 +137,7 @@ def find(
     modes = LowLevelModes(observations, rig)
     observations, as_given, null, data = model_alone(rig, observations, parameters, fitted, modes)
     operating = operating_range(rig, observations.tests, observations=observations)
-    beyond_effects = modes.disordered or modes.lacking(
-        data, null.fit, THRESHOLDS.modes.certain_sigmas, THRESHOLDS.modes.certain_channel_share
-    )
+    beyond_effects = modes.disordered or modes.lacking(data, null.fit, certain=True)
     scales = factors(observations, as_given.values, null.fit.prediction.values, fitted)
     candidates = () if beyond_effects or scales else library_candidates(rig, operating, settings.withheld)
     search = Search(data, rig, parameters, candidates, tell)

@@ -34,17 +34,17 @@ class MisfitThresholds:
     static_share_above: float = threshold(
         0.2, "1",
         "Modes above the band as a share of the static flexibility of those that the model has.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[misfit.static_share_above]",
     )  # fmt: skip
     static_share_below: float = threshold(
         0.05, "1",
         "Modes below the band, such as of a suspension, as the same share.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[misfit.static_share_below]",
     )  # fmt: skip
     static_frequency_ratio: float = threshold(
         0.1, "1",
         "Frequency over the resonance's at which the static flexibility is taken.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[misfit.static_frequency_ratio]",
     )  # fmt: skip
     large_log_ratio: float = threshold(
         1.0, "ln",

@@ -60,12 +60,12 @@ class ModeThresholds:
     certain_sigmas: float = threshold(
         10.0, "σ",
         "The same from which no effect is tried in its place.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.certain_sigmas]",
     )  # fmt: skip
     certain_channel_share: float = threshold(
         0.8, "1",
         "Share of the channels that have to show it for that.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.certain_channel_share]",
     )  # fmt: skip
     highest_measured_damping: float = threshold(
         0.05, "1",
@@ -75,7 +75,7 @@ class ModeThresholds:
     highest_model_damping: float = threshold(
         0.3, "1",
         "Damping ratio beyond which a mode of the model is not paired.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[modes.highest_model_damping]",
     )  # fmt: skip
     fewest_lines: int = threshold(
         20, "1",

@@ -14,7 +14,7 @@ class NextTestThresholds:
     least_sigmas: float = threshold(
         3.0, "σ",
         "A test that tells less apart is not proposed to a person.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[next_test.least_sigmas]",
     )  # fmt: skip
     least_asked_sigmas: float = threshold(
         1.0, "σ",
@@ -41,7 +41,7 @@ class NextTestThresholds:
     typical_response_std: float = threshold(
         5e-3, "1",
         "Uncertainty of a line of a random test of which the tests at hand hold none.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[next_test.typical_response_std]",
     )  # fmt: skip
     second_class_share: float = threshold(
         0.02, "1",

@@ -14,7 +14,7 @@ class PredictionThresholds:
     resonance_search_share: float = threshold(
         0.25, "1",
         "Part of the measured frequency within which the model's resonance is looked for.",
-        "",
+        "tests/diagnose/test_predictions.py::test_a_duffing_oscillator_in_closed_form",
     )  # fmt: skip
     far_off_ratio: float = threshold(
         2.0, "1",
@@ -44,7 +44,7 @@ class PredictionThresholds:
     continued_log_step: float = threshold(
         0.5, "ln",
         "Step of the motion from line to line beyond which a state is not the continuation of the one before.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[prediction.continued_log_step]",
     )  # fmt: skip
     delay_step_turns: float = threshold(
         1.0 / 16.0, "turns",
@@ -74,5 +74,5 @@ class PredictionThresholds:
     unit_source_share: float = threshold(
         0.01, "1",
         "Share of the fundamental that a unit source is: small enough for the first order.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[prediction.unit_source_share]",
     )  # fmt: skip

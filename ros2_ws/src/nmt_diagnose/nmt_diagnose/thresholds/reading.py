@@ -35,7 +35,7 @@ class ReadingThresholds:
     furthest_phase_rad: float = threshold(
         math.radians(60.0), "rad",
         "Error of the phase at lock from which a channel's sign is wrong or the loop held something else.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[reading.furthest_phase_rad]",
     )  # fmt: skip
     hum_sigmas: float = threshold(
         6.0, "σ",
@@ -183,12 +183,12 @@ class ReadingThresholds:
     decay_few_spectral_periods: int = threshold(
         3, "1",
         "Times the periods that spectra need, up to which turning points are tried.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[reading.decay_few_spectral_periods]",
     )  # fmt: skip
     decay_largest_ratio_std: float = threshold(
         0.1, "1",
         "Uncertainty of a ratio of amplitudes beyond which it tells nothing.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[reading.decay_largest_ratio_std]",
     )  # fmt: skip
     decay_worst_damping_std: float = threshold(
         0.3, "1",
@@ -223,5 +223,5 @@ class ReadingThresholds:
     stretch_fewest_samples: int = threshold(
         16, "samples",
         "Shorter stretches are left out.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[reading.stretch_fewest_samples]",
     )  # fmt: skip

@@ -92,5 +92,5 @@ class SearchThresholds:
     first_order_sigmas: float = threshold(
         1.0, "σ",
         "Change by a strength of one scale below which an effect shows at finite strength only.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[search.first_order_sigmas]",
     )  # fmt: skip

@@ -64,7 +64,7 @@ class VerdictThresholds:
         0.3, "1",
         "Uncertainty of a prediction over the change by the explanation, both rms, up to which held-out rows "
         "judge it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[verdict.open_prediction_share]",
     )  # fmt: skip
     left_over_scale: float = threshold(
         2.0, "1",

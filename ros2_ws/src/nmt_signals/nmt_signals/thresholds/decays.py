@@ -39,12 +39,12 @@ class DecayThresholds:
     unsettled_ratio: float = threshold(
         3.0, "1",
         "Residual of a segment over that of the last from which something else rings in it.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[signals.decays.unsettled_ratio]",
     )  # fmt: skip
     fast_log_fall: float = threshold(
         2.0, "ln amplitude",
         "A decay that falls faster leaves nothing to wait for.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[signals.decays.fast_log_fall]",
     )  # fmt: skip
     fewest_periods: int = threshold(
         12, "periods",
@@ -124,5 +124,5 @@ class DecayThresholds:
     largest_log_std: float = threshold(
         0.03, "1",
         "Uncertainty of ln ω beyond which an amplitude tells nothing.",
-        "",
+        "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[signals.decays.largest_log_std]",
     )  # fmt: skip

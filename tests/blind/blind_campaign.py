@@ -8,7 +8,7 @@ from typing import Any
 
 from nmt_blind.cases.blind_rigs import BLIND_RIGS, BlindRig
 from nmt_blind.cases.laboratory import BenchSettings
-from nmt_blind.cases.make import Made, make_campaign
+from nmt_blind.cases.make import CampaignPlan, Made, make_campaign
 from nmt_blind.cases.operating import Operating
 
 SHORT = BenchSettings(
@@ -42,4 +42,6 @@ def operating() -> Operating:
 
 def make(folder: Path, seed: int = 2, count: int = 2, **more: Any) -> Made:
     rig = short_rig()
-    return make_campaign(folder, rig.name, count, seed, rig=rig, operating=operating(), **more)
+    of_plan = {name: more.pop(name) for name in ("kinds", "sealed", "tolerances") if name in more}
+    plan = CampaignPlan(rig_name=rig.name, count=count, seed=seed, rig=rig, operating=operating(), **of_plan)
+    return make_campaign(folder, plan, **more)

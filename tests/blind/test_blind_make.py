@@ -14,7 +14,7 @@ from blind.blind_campaign import SHORT, make, operating, short_rig
 from nmt_blind.cases.draw import MIXTURE, SIZES, draw_cases
 from nmt_blind.cases.injected_effects import INJECTED_EFFECTS, KNOWN, NEAR_TWINS, OPEN
 from nmt_blind.cases.laboratory import record_backbone, record_random
-from nmt_blind.cases.make import bag_hash, make_campaign
+from nmt_blind.cases.make import CampaignPlan, bag_hash, make_campaign
 from nmt_blind.cases.operating import Operating
 from nmt_blind.cases.priors import LARGEST_SHIFT, parameters
 from nmt_blind.cases.rig_edits import Edit, rig_yaml, with_edits
@@ -108,7 +108,7 @@ def test_campaigns_do_not_mix(tmp_path: Path) -> None:
     with pytest.raises(BenchError, match="at least one"):
         make(tmp_path / "c", count=0)
     with pytest.raises(BenchError, match="no blind rig"):
-        make_campaign(tmp_path / "c", "bench", 1, 2)
+        make_campaign(tmp_path / "c", CampaignPlan(rig_name="bench", count=1, seed=2))
 
 
 def test_the_mixture_is_as_stated_and_cases_do_not_depend_on_their_number() -> None:

@@ -11,7 +11,7 @@ from nmt_blind.campaign.explain import measured_strengths
 from nmt_blind.campaign.run import run_campaign
 from nmt_blind.campaign.score import Scores, score_campaign
 from nmt_blind.campaign.statistics import Proportion
-from nmt_blind.cases.make import make_campaign
+from nmt_blind.cases.make import CampaignPlan, make_campaign
 
 CASES, SEED, JOBS = 20, 9001, 2
 
@@ -23,7 +23,7 @@ def at_least(found: Proportion, share: float) -> bool:
 @pytest.fixture(scope="module")
 def sealed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, Scores]:
     folder = tmp_path_factory.mktemp("blind") / "sealed"
-    made = make_campaign(folder, "beam", CASES, SEED, sealed=True, jobs=JOBS)
+    made = make_campaign(folder, CampaignPlan(rig_name="beam", count=CASES, seed=SEED, sealed=True), jobs=JOBS)
     done = run_campaign(folder, jobs=JOBS)
     assert (done.done, done.failed) == (CASES, 0)
     return folder, made.seal, score_campaign(folder, measured=lambda truth: measured_strengths(folder, truth, JOBS))

@@ -167,19 +167,21 @@ class InvestigateRigsOptions:
 
 
 def _make(options: MakeOptions) -> int:
-    from nmt_blind.cases.make import make_campaign
+    from nmt_blind.cases.make import CampaignPlan, make_campaign
 
     kinds = tuple(word.strip() for word in options.kinds.split(",") if word.strip())
     with _bar(options, "making cases") as bar:
         made = make_campaign(
             options.out,
-            options.rig,
-            options.cases,
-            options.seed,
-            kinds,
-            options.sealed,
+            CampaignPlan(
+                rig_name=options.rig,
+                count=options.cases,
+                seed=options.seed,
+                kinds=kinds,
+                sealed=options.sealed,
+                tolerances=options.tolerances,
+            ),
             worker_count(options),
-            options.tolerances,
             options.scheduler,
             on_seal=lambda digest: bar.say(f"seal of the truth: sha256 {digest}"),
             progress=lambda done, total: bar.update(done, total),

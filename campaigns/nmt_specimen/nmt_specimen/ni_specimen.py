@@ -234,6 +234,126 @@ class Hardware:
         return kept[0] if self._outputs == 1 else kept, np.array(self.record_times).reshape(-1, 2)
 
 
+class NiCalls:
+    """What the calls of NI's server do that mean something here, and the fields of their answers.
+
+    Args:
+        hardware: behind them.
+        names: of the devices, as NI lists them.
+        grpc: the package.
+    """
+
+    def __init__(self, hardware: Hardware, names: str, grpc: Any) -> None:
+        self.hardware, self.names, self.grpc = hardware, names, grpc
+        self.devices = [name.strip() for name in names.split(",")]
+        # Channels (V), excitation (A), rate (Hz), device with the terminals, of each task.
+        self.tasks: dict[str, dict[str, Any]] = {}
+
+    def _new_channel(self, request: Any, context: Any) -> None:
+        code, terminals, kind = _parts(request.physical_channel, self.devices)
+        fitting = [reach for reach in kind.ranges_v if reach >= request.max_val * (1.0 - 1e-9)]
+        self._refuse(context, code or (0 if fitting else _NOT_SUPPORTED), "read")
+        task = self.tasks.setdefault(request.task.name, {"channels": {}, "excitation": {}})
+        task["terminals"], task["kind"] = terminals, kind
+        task["channels"][request.physical_channel] = fitting[0]
+
+    def _check_terminal(self, context: Any, task: str, source: str, own: str) -> None:
+        known = {f"/{each['terminals']}/{own}" for each in self.tasks.values() if "terminals" in each}
+        self._refuse(context, 0 if source in known or re.fullmatch(r"/\w+/PFI\d+", source) else _NO_TERMINAL, "read")
+
+    def _refuse(self, context: Any, code: int, what: str) -> None:
+        """End a call as NI's server does: a gRPC error with NI's code beside it."""
+        if code:
+            context.set_trailing_metadata((("ni-error", str(code)), (f"ni-samps-per-chan-{what}", "0")))
+            context.abort(self.grpc.StatusCode.UNKNOWN, _WORDS[code])
+
+    def _create_output(self, request: Any, context: Any) -> None:
+        code, terminals, kind = _parts(request.physical_channel, self.devices)
+        self._refuse(context, code or (0 if request.max_val <= 10.0 else _NOT_SUPPORTED), "read")
+        self.tasks.setdefault(request.task.name, {"channels": {}}).update(terminals=terminals, kind=kind)
+
+    def _set_excitation(self, request: Any, context: Any) -> None:
+        task = self.tasks[request.task.name]
+        if request.attribute_raw == _EXCITATION:
+            known = any(math.isclose(request.value, own) for own in task["kind"].currents_a)
+            self._refuse(context, 0 if known else _NOT_SUPPORTED, "read")
+            task["excitation"][request.channel] = request.value
+
+    def _get_range_or_excitation(self, request: Any, _: Any) -> dict[str, Any]:
+        held = self.tasks[request.task.name]["channels" if request.attribute_raw == _LARGEST else "excitation"]
+        return {"value": held.get(request.channel, 0.0)}
+
+    def _set_clock(self, request: Any, context: Any) -> None:
+        task = self.tasks[request.task.name]
+        if request.source:
+            self._check_terminal(context, request.task.name, request.source, "ai/SampleClock")
+        task["rate"] = task["kind"].rate(request.rate)
+        self._refuse(context, _NOT_SUPPORTED if math.isnan(task["rate"]) else 0, "read")
+
+    def _get_rate(self, request: Any, _: Any) -> dict[str, Any]:
+        return {"value": self.tasks[request.task.name]["rate"] if request.attribute_raw == _RATE else 0.0}
+
+    def _get_category(self, request: Any, _: Any) -> dict[str, Any]:
+        category = _MODULE if "Mod" in request.device_name else _BOARD
+        return {"value_raw": category if request.attribute_raw == _CATEGORY else 0}
+
+    def _get_chassis(self, request: Any, _: Any) -> dict[str, Any]:
+        return {"value": request.device_name.partition("Mod")[0] if request.attribute_raw == _CHASSIS else ""}
+
+    def _get_serial(self, request: Any, _: Any) -> dict[str, Any]:
+        sheet = self.hardware.sheets.get(request.physical_channel, 0)
+        return {"value": sheet if request.attribute_raw == _SERIAL else 0}
+
+    def _set_idle(self, request: Any, _: Any) -> None:
+        if request.attribute_raw == _IDLE_BEHAVIOUR:
+            self.hardware.idles_at_zero = request.value_raw == _ZERO_VOLTS
+
+    def _set_space(self, request: Any, _: Any) -> None:
+        self.hardware.space = int(request.value)
+
+    def _read(self, request: Any, context: Any) -> dict[str, Any]:
+        count = request.num_samps_per_chan
+        code, values = self.hardware.read(count, request.timeout)
+        self._refuse(context, code, "read")
+        return {"read_array": values.ravel(), "samps_per_chan_read": count}
+
+    def _write(self, request: Any, context: Any) -> dict[str, Any]:
+        values = np.array(request.write_array).reshape(-1, request.num_samps_per_chan)
+        self._refuse(context, self.hardware.write(values, request.timeout), "written")
+        return {"samps_per_chan_written": request.num_samps_per_chan}
+
+    @property
+    def by_name(self) -> dict[str, Callable[[Any, Any], dict[str, Any] | None]]:
+        """Call with a request and a context, by its name."""
+        return {
+            "CreateTask": lambda request, _: {"new_session_initialized": True, "task": {"name": request.session_name}},
+            "GetSystemInfoAttributeString": lambda request, _: {
+                "value": self.names if request.attribute_raw == _DEVICE_NAMES else ""
+            },
+            "CreateAIVoltageChan": self._new_channel,
+            "CreateAOVoltageChan": self._create_output,
+            "SetChanAttributeDouble": self._set_excitation,
+            "GetChanAttributeDouble": self._get_range_or_excitation,
+            "CfgSampClkTiming": self._set_clock,
+            "GetTimingAttributeDouble": self._get_rate,
+            "CfgDigEdgeStartTrig": lambda request, context: self._check_terminal(
+                context, request.task.name, request.trigger_source, "ai/StartTrigger"
+            ),
+            "GetDeviceAttributeInt32": self._get_category,
+            "GetDeviceAttributeString": self._get_chassis,
+            "ConfigureTEDS": lambda request, context: self._refuse(
+                context, 0 if request.physical_channel in self.hardware.sheets else _NO_SHEET, "read"
+            ),
+            "GetPhysicalChanAttributeUInt32": self._get_serial,
+            "SetChanAttributeInt32": self._set_idle,
+            "SetBufferAttributeUInt32": self._set_space,
+            "StartTask": lambda request, _: self.hardware.start(request.task.name.endswith("input")),
+            "StopTask": lambda _, __: self.hardware.stop(),
+            "ReadAnalogF64": self._read,
+            "WriteAnalogF64": self._write,
+        }
+
+
 def make_calls(hardware: Hardware, names: str) -> Any:
     """The calls of NI's server, as gRPC takes them.
 
@@ -250,113 +370,7 @@ def make_calls(hardware: Hardware, names: str) -> Any:
     except ModuleNotFoundError:
         raise BenchError("The package nidaqmx is not installed; type: pip install 'nidaqmx[grpc]'.") from None
 
-    base = nidaqmx_pb2_grpc.NiDAQmxServicer
-
-    devices = [name.strip() for name in names.split(",")]
-    tasks: dict[str, dict[str, Any]] = {}  # channels (V), excitation (A), rate (Hz), device with the terminals
-
-    def new_channel(request: Any, context: Any) -> None:
-        code, terminals, kind = _parts(request.physical_channel, devices)
-        fitting = [reach for reach in kind.ranges_v if reach >= request.max_val * (1.0 - 1e-9)]
-        refuse(context, code or (0 if fitting else _NOT_SUPPORTED), "read")
-        task = tasks.setdefault(request.task.name, {"channels": {}, "excitation": {}})
-        task["terminals"], task["kind"] = terminals, kind
-        task["channels"][request.physical_channel] = fitting[0]
-
-    def check_terminal(context: Any, task: str, source: str, own: str) -> None:
-        known = {f"/{each['terminals']}/{own}" for each in tasks.values() if "terminals" in each}
-        refuse(context, 0 if source in known or re.fullmatch(r"/\w+/PFI\d+", source) else _NO_TERMINAL, "read")
-
-    def refuse(context: Any, code: int, what: str) -> None:
-        """End a call as NI's server does: a gRPC error with NI's code beside it."""
-        if code:
-            context.set_trailing_metadata((("ni-error", str(code)), (f"ni-samps-per-chan-{what}", "0")))
-            context.abort(grpc.StatusCode.UNKNOWN, _WORDS[code])
-
-    # What the calls do that mean something here, and the fields of their answers.
-
-    def create_output(request: Any, context: Any) -> None:
-        code, terminals, kind = _parts(request.physical_channel, devices)
-        refuse(context, code or (0 if request.max_val <= 10.0 else _NOT_SUPPORTED), "read")
-        tasks.setdefault(request.task.name, {"channels": {}}).update(terminals=terminals, kind=kind)
-
-    def set_excitation(request: Any, context: Any) -> None:
-        task = tasks[request.task.name]
-        if request.attribute_raw == _EXCITATION:
-            known = any(math.isclose(request.value, own) for own in task["kind"].currents_a)
-            refuse(context, 0 if known else _NOT_SUPPORTED, "read")
-            task["excitation"][request.channel] = request.value
-
-    def get_range_or_excitation(request: Any, _: Any) -> dict[str, Any]:
-        held = tasks[request.task.name]["channels" if request.attribute_raw == _LARGEST else "excitation"]
-        return {"value": held.get(request.channel, 0.0)}
-
-    def set_clock(request: Any, context: Any) -> None:
-        task = tasks[request.task.name]
-        if request.source:
-            check_terminal(context, request.task.name, request.source, "ai/SampleClock")
-        task["rate"] = task["kind"].rate(request.rate)
-        refuse(context, _NOT_SUPPORTED if math.isnan(task["rate"]) else 0, "read")
-
-    def get_rate(request: Any, _: Any) -> dict[str, Any]:
-        return {"value": tasks[request.task.name]["rate"] if request.attribute_raw == _RATE else 0.0}
-
-    def get_category(request: Any, _: Any) -> dict[str, Any]:
-        category = _MODULE if "Mod" in request.device_name else _BOARD
-        return {"value_raw": category if request.attribute_raw == _CATEGORY else 0}
-
-    def get_chassis(request: Any, _: Any) -> dict[str, Any]:
-        return {"value": request.device_name.partition("Mod")[0] if request.attribute_raw == _CHASSIS else ""}
-
-    def get_serial(request: Any, _: Any) -> dict[str, Any]:
-        sheet = hardware.sheets.get(request.physical_channel, 0)
-        return {"value": sheet if request.attribute_raw == _SERIAL else 0}
-
-    def set_idle(request: Any, _: Any) -> None:
-        if request.attribute_raw == _IDLE_BEHAVIOUR:
-            hardware.idles_at_zero = request.value_raw == _ZERO_VOLTS
-
-    def set_space(request: Any, _: Any) -> None:
-        hardware.space = int(request.value)
-
-    def read(request: Any, context: Any) -> dict[str, Any]:
-        count = request.num_samps_per_chan
-        code, values = hardware.read(count, request.timeout)
-        refuse(context, code, "read")
-        return {"read_array": values.ravel(), "samps_per_chan_read": count}
-
-    def write(request: Any, context: Any) -> dict[str, Any]:
-        values = np.array(request.write_array).reshape(-1, request.num_samps_per_chan)
-        refuse(context, hardware.write(values, request.timeout), "written")
-        return {"samps_per_chan_written": request.num_samps_per_chan}
-
-    calls: dict[str, Callable[[Any, Any], dict[str, Any] | None]] = {
-        "CreateTask": lambda request, _: {"new_session_initialized": True, "task": {"name": request.session_name}},
-        "GetSystemInfoAttributeString": lambda request, _: {
-            "value": names if request.attribute_raw == _DEVICE_NAMES else ""
-        },
-        "CreateAIVoltageChan": new_channel,
-        "CreateAOVoltageChan": create_output,
-        "SetChanAttributeDouble": set_excitation,
-        "GetChanAttributeDouble": get_range_or_excitation,
-        "CfgSampClkTiming": set_clock,
-        "GetTimingAttributeDouble": get_rate,
-        "CfgDigEdgeStartTrig": lambda request, context: check_terminal(
-            context, request.task.name, request.trigger_source, "ai/StartTrigger"
-        ),
-        "GetDeviceAttributeInt32": get_category,
-        "GetDeviceAttributeString": get_chassis,
-        "ConfigureTEDS": lambda request, context: refuse(
-            context, 0 if request.physical_channel in hardware.sheets else _NO_SHEET, "read"
-        ),
-        "GetPhysicalChanAttributeUInt32": get_serial,
-        "SetChanAttributeInt32": set_idle,
-        "SetBufferAttributeUInt32": set_space,
-        "StartTask": lambda request, _: hardware.start(request.task.name.endswith("input")),
-        "StopTask": lambda _, __: hardware.stop(),
-        "ReadAnalogF64": read,
-        "WriteAnalogF64": write,
-    }
+    base, calls = nidaqmx_pb2_grpc.NiDAQmxServicer, NiCalls(hardware, names, grpc).by_name
 
     def method(name: str) -> Any:
         answer, call = getattr(nidaqmx_pb2, f"{name}Response"), calls.get(name, lambda _, __: None)

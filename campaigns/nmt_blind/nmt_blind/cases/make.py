@@ -60,18 +60,46 @@ class Made:
     left: int = 0
 
 
+@dataclass(frozen=True, kw_only=True)
+class CampaignPlan:
+    """What a campaign is to hold.
+
+    Attributes:
+        rig_name: name of the blind rig.
+        count: number of cases.
+        seed: even for development, odd for sealed campaigns.
+        kinds: kinds of case; none = all.
+        sealed: a sealed campaign is meant.
+        tolerances: of the measuring chain, ``laboratory`` or ``none``.
+        rig, operating: in place of the program's own, and of how far it moves.
+    """
+
+    rig_name: str
+    count: int
+    seed: int
+    kinds: Sequence[str] = ()
+    sealed: bool = False
+    tolerances: str = "none"
+    rig: BlindRig | None = None
+    operating: Operating | None = None
+
+    def check(self) -> None:
+        """Refuse what no campaign can be.
+
+        Raises:
+            BenchError: with the reason.
+        """
+        _check_seed(self.seed, self.sealed)
+        if self.count < 1:
+            raise BenchError(f"A campaign needs at least one case, got {self.count}.")
+        check_kinds(self.kinds)
+
+
 def make_campaign(
     folder: Path,
-    rig_name: str,
-    count: int,
-    seed: int,
-    kinds: Sequence[str] = (),
-    sealed: bool = False,
+    plan: CampaignPlan,
     jobs: int = 1,
-    tolerances: str = "none",
     scheduler: str = "",
-    rig: BlindRig | None = None,
-    operating: Operating | None = None,
     on_seal: Callable[[str], None] = lambda digest: None,
     progress: Callable[[int, int], None] = lambda done, total: None,
     batch: int = 0,
@@ -80,15 +108,9 @@ def make_campaign(
 
     Args:
         folder: the campaign's folder.
-        rig_name: name of the blind rig.
-        count: number of cases.
-        seed: even for development, odd for sealed campaigns.
-        kinds: kinds of case; none = all.
-        sealed: a sealed campaign is meant.
+        plan: what it is to hold.
         jobs: worker processes.
-        tolerances: of the measuring chain, ``laboratory`` or ``none``.
         scheduler: address of a Dask scheduler in place of worker processes; its workers must see the same folder.
-        rig, operating: in place of the program's own, and of how far it moves.
         on_seal: called with the seal before any bag is made.
         progress: called with cases done and in all.
         batch: most cases to make this time; 0 = all. The truth of all of them is sealed at once.
@@ -97,20 +119,22 @@ def make_campaign(
         BenchError: a batch below 0, a seed of the wrong kind, a folder with another campaign, what `draw_cases`
             refuses, or a scheduler that does not answer.
     """
-    _check_seed(seed, sealed)
-    if count < 1:
-        raise BenchError(f"A campaign needs at least one case, got {count}.")
+    plan.check()
     if batch < 0:
         raise BenchError(f"A batch needs at least one case, got {batch}; leave it out to make all of them.")
-    check_kinds(kinds)
-    rig = rig or blind_rig(rig_name)
-    model = rig.model()
-    operating = operating or operating_point(model, rig.bench)
+    rig = plan.rig or blind_rig(plan.rig_name)
+    model, sealed = rig.model(), plan.sealed
     cases = draw_cases(
-        model, operating, count, seed, kinds, tolerances, lambda truth_rig: operating_point(truth_rig, rig.bench)
+        model,
+        plan.operating or operating_point(model, rig.bench),
+        plan.count,
+        plan.seed,
+        plan.kinds,
+        plan.tolerances,
+        lambda truth_rig: operating_point(truth_rig, rig.bench),
     )
     truth = json.dumps({
-        "format": FORMAT, "rig": rig.name, "seed": seed, "tolerances": tolerances,
+        "format": FORMAT, "rig": rig.name, "seed": plan.seed, "tolerances": plan.tolerances,
         "cases": [case.to_mapping() for case in cases],
     }, indent=1) + "\n"  # fmt: skip
     digest = hashlib.sha256(truth.encode()).hexdigest()
@@ -121,11 +145,11 @@ def make_campaign(
         "purpose": _purpose(sealed),
         "model": "model.yaml",
         "tests": list(rig.tests),
-        "tolerances": tolerances,
+        "tolerances": plan.tolerances,
         "cases": [{"case": case.name, "withheld": case.withheld} for case in cases],
     }
     write_whole(folder / SEAL_FILE, json.dumps({
-        "format": FORMAT, "purpose": _purpose(sealed), "rig": rig.name, "cases": count, "sha256": digest,
+        "format": FORMAT, "purpose": _purpose(sealed), "rig": rig.name, "cases": plan.count, "sha256": digest,
     }, indent=1) + "\n")  # fmt: skip
     on_seal(digest)
     if not (folder / TRUTH_FILE).exists():

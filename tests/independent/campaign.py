@@ -1,4 +1,5 @@
-"""Makes cases of the laboratories two (four rigs), three (a free beam), four (robots) for ``./nmt blind laboratory``.
+"""Makes cases of the laboratories two (four rigs), three (a free beam), four (robots) for ``./nmt blind laboratory``,
+and healthy tables of all whose stated uncertainties are off.
 
 Run from the root of the repository::
 
@@ -18,7 +19,12 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-LABORATORIES = ("two", "three", "four")
+LABORATORIES = {
+    "two": "laboratory_two",
+    "three": "laboratory_three",
+    "four": "laboratory_four",
+    "healthy": "healthy_tables",
+}
 
 
 def seeds_of(text: str) -> range:
@@ -40,13 +46,13 @@ def main() -> None:
     """Make the cases that are not there yet, and say each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("part", choices=("make",), help="what to do")
-    parser.add_argument("--laboratory", choices=LABORATORIES, default="two", help="whose cases (default two)")
+    parser.add_argument("--laboratory", choices=[*LABORATORIES], default="two", help="whose cases (default two)")
     parser.add_argument("--seeds", type=seeds_of, required=True, metavar="FIRST:END[:STEP]", help="the end is left out")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets a folder for each case")
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
     given = parser.parse_args()
     begin = time.monotonic()
-    make_case = import_module(f"independent.laboratory_{given.laboratory}").make_case
+    make_case = import_module(f"independent.{LABORATORIES[given.laboratory]}").make_case
     work = (delayed(make_case)(given.out.resolve(), seed) for seed in given.seeds)
     for number, name in enumerate(Parallel(n_jobs=given.jobs, return_as="generator_unordered")(work), 1):
         print(f"{number} of {len(given.seeds)}, {time.monotonic() - begin:.0f} s: {name}", flush=True)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import yaml
 from independent import laboratory_one
-from independent.laboratory_three import DRIVEN, RATE, SENSORS, _model, _through_chain, draw_case
+from independent.laboratory_three import DRIVEN, RATE, SENSORS, _through_chain, draw_case, owners_model
 from independent.laboratory_two import _frequency
 from independent.modal_simulator import Element, Simulator
 
@@ -219,7 +219,7 @@ def make_beam_case(folder: Path, family: str, seed: int) -> None:
         ],
         "levels": truth_levels,
     }  # fmt: skip
-    for name, content in (("sidecar", sidecar), ("model", _model(case["model"])), ("truth", truth)):
+    for name, content in (("sidecar", sidecar), ("model", owners_model(case["model"])), ("truth", truth)):
         (folder / f"{name}.yaml").write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
 
 

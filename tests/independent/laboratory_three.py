@@ -73,6 +73,14 @@ def free_beam(length: float, height: float, beta: float, end_damper: float, susp
     return Beam(omega2[:_MODES], modes.T @ (beta * stiffness + end_damper * at_ends) @ modes, points)
 
 
+def accelerance(beam: Beam, omega: float) -> np.ndarray:
+    """Accelerations of the sensors over the force at an angular frequency without local forces, complex, (sensors,)."""
+    dynamic = np.diag(beam.omega2 - omega**2) + 1j * omega * beam.damping
+    modes = np.linalg.solve(dynamic, beam.shapes[DRIVEN - 1].astype(complex))
+    found: np.ndarray = -(omega**2) * (beam.shapes[np.array(SENSORS) - 1] @ modes)
+    return found
+
+
 @njit(cache=True)
 def _rates(t, y, omega2, damping, load, table, rate, sine, kind, shape, p):  # pragma: no cover - compiled
     """State derivative; the force is a sine (amplitude, ω, phase) or samples joined by straight lines."""
@@ -381,12 +389,12 @@ def make_case(out: Path, seed: int) -> str:
     channels += [{"column": f"a{p}", "quantity": "acceleration", "unit": "m/s^2", "point": p} for p in SENSORS]
     sidecar = {"rig": "model.yaml", "sample_rate": RATE, "file": "data.npz", "channels": channels, "segments": segments}
     (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar, sort_keys=False), encoding="utf-8")
-    (folder / "model.yaml").write_text(yaml.safe_dump(_model(case["model"]), sort_keys=False), encoding="utf-8")
+    (folder / "model.yaml").write_text(yaml.safe_dump(owners_model(case["model"]), sort_keys=False), encoding="utf-8")
     (folder / "truth.yaml").write_text(yaml.safe_dump(truth, sort_keys=False), encoding="utf-8")
     return name
 
 
-def _model(size: dict[str, float]) -> dict[str, Any]:
+def owners_model(size: dict[str, float]) -> dict[str, Any]:
     """What the beam's owner believes."""
     return {
         "name": "free_beam",

@@ -90,6 +90,7 @@ class Chain:
         digits: significant digits in print.
         gain_std: standard deviation that the gains were drawn with.
         stated: noise and gains are stated in the sidecar.
+        overstated: stated uncertainty of a table over the scatter that is there.
         hold: scatter of the held amplitude.
     """
 
@@ -103,6 +104,7 @@ class Chain:
     gain_std: float
     stated: bool
     hold: float = 0.003
+    overstated: float = 1.0
     clip: dict[int, float] = field(default_factory=dict)
 
     def factor(self, point: int, frequency_hz: float) -> complex:
@@ -606,12 +608,12 @@ def make_case(out: Path, seed: int) -> str:
     if rig == "plate":
         _write_taps(folder, specimen, injected, chain, draw)
     elif rig == "strip":
-        _write_print(folder, specimen, injected, chain, draw)
+        write_print(folder, specimen, injected, chain, draw)
     else:
         absolute = rig == "mast" and bool(draw.random() < 0.5)
         if absolute:
             model["exciter"] |= {"responses": "absolute"}
-        _write_tables(folder, specimen, injected, chain, draw, absolute)
+        write_tables(folder, specimen, injected, chain, draw, absolute)
     (folder / "model.yaml").write_text(yaml.safe_dump(model, sort_keys=False))
     truth = injected.truth | ({"parameters": true} if shifted else {})
     (folder / "truth.yaml").write_text(yaml.safe_dump(truth, sort_keys=False))
@@ -624,7 +626,7 @@ def drive_for(specimen: Specimen) -> float:
     return float(2.0 * specimen.ratios[0] * omega**2 * specimen.largest / abs(shape[0] * specimen.load[0]))
 
 
-def _write_tables(
+def write_tables(
     folder: Path, specimen: Specimen, injected: Injected, chain: Chain, draw: np.random.Generator, absolute: bool
 ) -> None:
     """Frequency responses at held levels, up and at the two highest down, a file for each level and direction."""
@@ -651,11 +653,14 @@ def _write_tables(
                 seen = seen + std * (draw.standard_normal(order.size) + 1j * draw.standard_normal(order.size))
                 head, columns = ["frequency_hz", "real", "imag"], [order, seen.real, seen.imag]
                 if chain.stated:
-                    head, columns = [*head, "real_std", "imag_std"], [*columns, std, std]
+                    head, columns = (
+                        [*head, "real_std", "imag_std"],
+                        [*columns, chain.overstated * std, chain.overstated * std],
+                    )
                 if column:
                     head, columns = [*head, "force_n"], [*columns, sizes * chain.reference_gain]
                 file = f"level{number + 1}_{direction}_point{point}.csv"
-                _print_table(folder / file, head, columns, chain.digits)
+                print_table(folder / file, head, columns, chain.digits)
                 segments.append(
                     {"kind": "frf", "file": file, "unit": unit, "point": point}
                     | ({} if table else {"drive_point": specimen.driven})
@@ -665,7 +670,7 @@ def _write_tables(
     (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar, sort_keys=False))
 
 
-def _write_print(folder: Path, specimen: Specimen, injected: Injected, chain: Chain, draw: np.random.Generator) -> None:
+def write_print(folder: Path, specimen: Specimen, injected: Injected, chain: Chain, draw: np.random.Generator) -> None:
     """A backbone as a paper prints it, and the response at a low force about the resonance."""
     lowest = injected.levels[0]
     top = drive_for(specimen)
@@ -687,7 +692,11 @@ def _write_print(folder: Path, specimen: Specimen, injected: Injected, chain: Ch
         names |= {"frequency_hz_std": "f_std", "damping_ratio_std": "zeta_std"}
         units |= {"damping_ratio_std": "%"}
         for row, f, z in zip(printed, frequency, damping, strict=True):
-            row += [f"{math.hypot(f * frequency_noise, 0.003):.4f}", f"{100.0 * z * damping_noise:.2g}"]
+            std = (
+                chain.overstated * math.hypot(f * frequency_noise, 0.003),
+                chain.overstated * 100.0 * z * damping_noise,
+            )
+            row += [f"{std[0]:.4f}", f"{std[1]:.2g}"]
     with (folder / "backbone.csv").open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([list(names.values()), *printed])
     first, zeta = float(rows[0, 0]), float(specimen.ratios[0])
@@ -697,11 +706,12 @@ def _write_print(folder: Path, specimen: Specimen, injected: Injected, chain: Ch
     seen = responses[:, 0] * [chain.factor(point, f) for f in lines] / chain.reference_gain
     std = chain.noise * abs(seen)
     seen = seen + std * (draw.standard_normal(lines.size) + 1j * draw.standard_normal(lines.size))
-    _print_table(folder / "frf.csv", ["frequency_hz", "real", "imag"], [lines, seen.real, seen.imag], chain.digits)
+    print_table(folder / "frf.csv", ["frequency_hz", "real", "imag"], [lines, seen.real, seen.imag], chain.digits)
+    stated = 100.0 * chain.overstated * chain.noise
     segments = [
         {"kind": "backbone", "unit": "mm", "point": point, "columns": names, "units": units},
         {"kind": "frf", "file": "frf.csv", "unit": "m/s^2/N", "point": point, "drive_point": specimen.driven,
-         "level": size, "level_unit": "N", "direction": "up", "noise": float(f"{100.0 * chain.noise:.2g}")},
+         "level": size, "level_unit": "N", "direction": "up", "noise": float(f"{stated:.2g}")},
     ]  # fmt: skip
     sidecar = {"rig": "model.yaml", "file": "backbone.csv", "segments": segments}
     (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar, sort_keys=False))
@@ -736,7 +746,7 @@ def _write_taps(folder: Path, specimen: Specimen, injected: Injected, chain: Cha
                 channel["gain_std"] = float(f"{chain.gain_std:.2g}")
             channels.append(channel)
         file = f"tap{number + 1}.csv"
-        _print_table(folder / file, ["time_s", *(c["column"] for c in channels)], columns, 7)
+        print_table(folder / file, ["time_s", *(c["column"] for c in channels)], columns, 7)
         sidecar = {
             "rig": "model.yaml",
             "file": file,
@@ -770,7 +780,7 @@ def _recorded(
     return np.round(seen / step) * step
 
 
-def _print_table(path: Path, head: Sequence[str], columns: Sequence[np.ndarray], digits: int) -> None:
+def print_table(path: Path, head: Sequence[str], columns: Sequence[np.ndarray], digits: int) -> None:
     """A text table; frequencies and times with all their digits."""
     with path.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")

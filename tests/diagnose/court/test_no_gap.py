@@ -60,3 +60,12 @@ def test_no_gap_is_said_of_a_healthy_table(seed: int) -> None:
     found = diagnosed(chain_rig(), chain_tables(seed))
     assert found.verdict is Verdict.NONE
     assert not contradicts_itself(found)
+
+
+@pytest.mark.parametrize("damping", [True, False])
+def test_no_gap_in_frequencies_alone_says_that_nothing_is_known_of_damping(damping: bool) -> None:
+    (table,) = backbone(13)
+    kept = {name: values for name, values in table.columns.items() if damping or not name.startswith("damping")}
+    found = diagnosed(one_mode_rig(), [replace(table, columns=kept)])
+    assert found.verdict is Verdict.NONE
+    assert any(it.startswith("Only frequencies were compared: of damping") for it in found.sentences) is not damping

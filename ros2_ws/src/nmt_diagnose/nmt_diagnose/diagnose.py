@@ -38,7 +38,7 @@ from nmt_diagnose.ledger.judgement import Judgement, judged
 from nmt_diagnose.ledger.ledger import ledger_of
 from nmt_diagnose.ledger.rules import GAP, NEEDED, WITHIN
 from nmt_diagnose.ledger.size import large_lines, measured_size, strained_chain
-from nmt_diagnose.ledger.warnings import warned, without_observables
+from nmt_diagnose.ledger.warnings import frequencies_alone, warned, without_observables
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
@@ -398,7 +398,11 @@ def _sentences(
         like = likeness(small.fitted, parameters(findings.data, small))
         text = (*text, f"{size.sentence(settings.matters)} {like}")
     if verdict in (Verdict.NONE, Verdict.CALIBRATION):
-        text = (*text, *strained_chain(findings.data, findings.null, settings.matters))
+        text = (
+            *text,
+            *strained_chain(findings.data, findings.null, settings.matters),
+            *frequencies_alone(observations),
+        )
     if judgement.named is not None:
         text = (*text, *_relieving(findings.data, judgement.best))
     from_law = law_sentences(judgement.law, judgement.law_leads)

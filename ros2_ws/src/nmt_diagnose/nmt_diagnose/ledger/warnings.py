@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.key_units import of_rotation
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.ledger.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
@@ -81,6 +81,14 @@ def without_observables(observations: Observations) -> tuple[str, ...]:
         f"Nothing of {' and '.join(silent)} could be compared, so the verdict says nothing of it; the notes say why. "
         "Where the model locks and the rig does not, that is a gap by itself.",
     )
+
+
+def frequencies_alone(observations: Observations) -> tuple[str, ...]:
+    """A sentence where nothing but frequencies was compared: that no gap is in them says nothing of losses."""
+    parts = observations.rows.part
+    if parts.size == 0 or np.any(parts != Part.LOG_FREQUENCY):
+        return ()
+    return ("Only frequencies were compared: of damping, and of what drives or brakes, these tests tell nothing.",)
 
 
 def beyond_physical_limits(found: FittedExplanation) -> dict[tuple[int, str], float]:

@@ -360,3 +360,16 @@ def test_every_setting_of_a_node_is_read() -> None:
         unread = [item.name for item in ordered_fields(kind) if item.name in unread_of_all]
         assert unread in ([], ["rig"]), kind  # the name of the rig stands in the log of the parameters only
         assert len({parameter.name for parameter in parameters_of(kind)}) == len(parameters_of(kind)), kind
+
+
+def test_an_unknown_option_is_the_first_cause_of_what_else_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    parser = CommandParser(prog="x")
+    pair = parser.add_mutually_exclusive_group()
+    pair.add_argument("sidecar", nargs="?")
+    pair.add_argument("--init")
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--init", "data.csv", "--model", "rig.yaml"])
+    assert "Unknown argument '--model'" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--ini", "data.csv", "rig.yaml"])
+    assert "not allowed with argument" in capsys.readouterr().err

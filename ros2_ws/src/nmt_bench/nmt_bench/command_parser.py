@@ -28,12 +28,15 @@ class CommandRefusal(SystemExit):
 class CommandParser(argparse.ArgumentParser):
     """Refuses with one sentence and exit code 2; unknown words get a proposal."""
 
+    _words: Sequence[str] = ()
+
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong and end.
+        """Say what is wrong and end; an option that does not exist is the first cause of what else is wrong.
 
         Raises:
             Refusal: always.
         """
+        message = next((self._unknown(word) for word in self._words if self._is_unknown(word)), message)
         sentence = message[:1].upper() + message[1:].rstrip(".")
         sys.stderr.write(f"{self.prog}: {sentence}; see '{self.prog} --help'.\n")
         raise CommandRefusal(sentence + ".")
@@ -46,9 +49,26 @@ class CommandParser(argparse.ArgumentParser):
         if unknown:
             parser = _chosen(self, arguments)
             word = next((text for text in unknown if text.startswith("-")), unknown[0])
-            proposal = did_you_mean(word.partition("=")[0], _option_words(parser)) if word.startswith("-") else ""
-            parser.error(f"unknown argument {word!r}{proposal}")
+            parser.error(parser._unknown(word) if isinstance(parser, CommandParser) else f"unknown argument {word!r}")
         return arguments
+
+    def parse_known_args(  # type: ignore[override]
+        self, args: Sequence[str] | None = None, namespace: argparse.Namespace | None = None
+    ) -> tuple[argparse.Namespace, list[str]]:
+        """As :meth:`argparse.ArgumentParser.parse_known_args`."""
+        parts = any(isinstance(action, argparse._SubParsersAction) for action in self._actions)
+        self._words = () if parts else tuple(sys.argv[1:] if args is None else args)
+        return super().parse_known_args(args, namespace)
+
+    def _is_unknown(self, word: str) -> bool:
+        """Whether a word is a long option that is none of this command, nor short for one."""
+        name = word.partition("=")[0]
+        return name.startswith("--") and name != "--" and not any(it.startswith(name) for it in _option_words(self))
+
+    def _unknown(self, word: str) -> str:
+        name = word.partition("=")[0]
+        proposal = did_you_mean(name, _option_words(self)) if name.startswith("-") else ""
+        return f"unknown argument {word!r}{proposal}"
 
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices and isinstance(value, str):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ from nmt_bench.cli import main
 from nmt_blind.campaign.foreign_case import contradictions
 
 INPUTS = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "strangers"
+
+CLIPPED = INPUTS.parent / "strangers3" / "effort_clip.py"
 
 pytestmark = pytest.mark.skipif(not INPUTS.is_dir(), reason=f"the inputs of strangers are not there ({INPUTS})")
 
@@ -45,4 +49,16 @@ def test_a_pendulum_with_friction_is_one_thing_in_headline_and_table(tmp_path: P
     assert "with friction contact beside it" in found["sentences"][1]
     assert found["sentences"][0].startswith("At the held levels the missing force acts like ")
     assert found["probabilities"]["unknown"] > 0.9
+    assert contradictions(found) == ()
+
+
+@pytest.mark.campaign
+@pytest.mark.skipif(not CLIPPED.is_file(), reason=f"the generator is not there ({CLIPPED})")
+def test_a_drive_that_saturates_where_no_channel_shows_it_has_no_place(tmp_path: Path) -> None:
+    """The effort is a command beyond what the drive gives: no cause of the library closes a third of the gap."""
+    subprocess.run([sys.executable, CLIPPED, tmp_path], check=True, capture_output=True)
+    found = diagnosed(tmp_path, "arm.yaml", ("s",), tmp_path)
+    assert found["verdict"] == "unknown"
+    assert found["where"] == []
+    assert "Where the gap lies could not be told." in found["sentences"]
     assert contradictions(found) == ()

@@ -187,9 +187,10 @@ def certainty(p: float) -> bool:
     return any("The cause is" in text for text in sentences(Verdict.EFFECT, where, [head], None, GAP, (), ()))
 
 
-def nearest(closed: float) -> str:
-    """How much of an unknown gap nothing explains, as it is said."""
-    text = sentences(Verdict.UNKNOWN, (), (), None, replace(GAP, closed=closed), (), ())[1]
+def nearest(closed: float, after: float = 1.0) -> str:
+    """How much of an unknown gap nothing explains, as it is said; of ten deviations the fit leaves ``after``."""
+    gap = replace(GAP, closed=closed, before=10.0, after=after, floor=1.0)
+    text = sentences(Verdict.UNKNOWN, (), (), None, gap, (), ())[1]
     return text.removeprefix("Nothing in the library explains ").partition(" of it")[0]
 
 
@@ -262,7 +263,10 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
         lambda: [verdict(9.0, 0.9, adequate=False, pulled=sigmas) for sigmas in (9.9, 10.1)],
         [Verdict.EFFECT, Verdict.UNKNOWN],
     ),
-    "verdict.nearest_closed_share": (lambda: [nearest(0.32), nearest(0.34)], ["a third", "all"]),
+    "verdict.nearest_closed_share": (
+        lambda: [nearest(0.32), nearest(0.34), nearest(math.nan, 7.1), nearest(math.nan, 6.9)],
+        ["a third", "all", "a third", "all"],
+    ),
     "verdict.as_likely_share": (lambda: (details(0.19), details(0.21)), ("2", "2 + 3")),
     "verdict.least_location_probability": (lambda: (listed(0.004), listed(0.006)), (1, 2)),
     "verdict.other_location_probability": (

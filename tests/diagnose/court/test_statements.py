@@ -103,8 +103,12 @@ def test_a_cause_beside_something_unnamed_is_a_part(losses: float) -> None:
 
 @pytest.mark.court(said="unknown", not_said="partial")
 @pytest.mark.parametrize("course", [{"wave": 0.02}, {"losses": 0.3}])
-def test_a_course_that_no_law_makes_is_unknown(course: dict[str, float]) -> None:
-    assert of_one_mode(**course).verdict is Verdict.UNKNOWN
+def test_a_course_that_no_law_makes_is_unknown_and_has_no_place(course: dict[str, float]) -> None:
+    found = of_one_mode(**course)
+    assert found.verdict is Verdict.UNKNOWN
+    assert found.gap.bridged < 0.1
+    assert found.where == ()
+    assert "Where the gap lies could not be told." in found.sentences
 
 
 @pytest.mark.court(not_said="unknown")

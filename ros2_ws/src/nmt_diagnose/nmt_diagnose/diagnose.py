@@ -209,7 +209,9 @@ def _diagnosed(
     left = _left(judgement, held_out)
     gap = _gap(judgement, held_out, left)
     reported = judgement.nearest is not None
-    where = place_rows(comparison, findings.sources) if reported or verdict is Verdict.UNKNOWN else ()
+    # Where nothing bridges the gap, the places of what is less bad say nothing of where it lies.
+    placed = verdict is not Verdict.UNKNOWN or gap.bridged >= THRESHOLDS.verdict.nearest_closed_share
+    where = place_rows(comparison, findings.sources) if reported and placed else ()
     ranking = ranked_rows(data, comparison, judgement.shares, judgement.partial) if reported else ()
     calibration = calibration_rows(judgement.best)
     answer = Answered(

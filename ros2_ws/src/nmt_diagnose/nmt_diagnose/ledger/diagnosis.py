@@ -148,6 +148,13 @@ class Gap:
     per_observable: dict[str, dict[str, Any]]
     held_out: tuple[str, ...]
 
+    @property
+    def bridged(self) -> float:
+        """Share of the gap that the explanation closes: on data held out, else by the fits themselves; 0 = no gap."""
+        if math.isfinite(self.closed):
+            return self.closed
+        return (self.before - self.after) / (self.before - self.floor) if self.before > self.floor else 0.0
+
 
 @dataclass(frozen=True)
 class RemainderPart:

@@ -69,8 +69,8 @@ STATEMENTS = (
     Statement(
         "place",
         "The effect acts at a point.",
-        "Other points leave more than what 2 % of error of a model's shapes do.",
-        "All points that are as likely, with their probabilities.",
+        "Other points leave more than what 2 % of error of a model's shapes do, and a third of the gap closes.",
+        "All points that are as likely, with their probabilities; that the place could not be told.",
         "nmt_diagnose.ledger.comparison:Hypotheses.compared",
         f"{_DIAGNOSE}test_place_probability.py::test_places_are_weighed_as_with_the_covariance_of_the_model_s_form",
     ),

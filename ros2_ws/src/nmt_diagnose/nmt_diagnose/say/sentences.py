@@ -73,7 +73,7 @@ def sentences(
         )
     place = where_words(where)
     if verdict is Verdict.UNKNOWN:
-        part = math.isfinite(gap.closed) and gap.closed >= THRESHOLDS.verdict.nearest_closed_share
+        part = gap.bridged >= THRESHOLDS.verdict.nearest_closed_share
         most = "all" if part else "a third"
         known = f"Nothing in the library explains {most} of it."
         return (place, known + _nearest(ranking, named, gap), *_ahead(ahead))

@@ -27,6 +27,19 @@ def build_structure(rig: Rig) -> Structure:
     Raises:
         BenchError: numbers that make no structure, or negative masses that leave it without inertia.
     """
+    return with_modal_damping(build_plain_structure(rig), rig)
+
+
+def with_modal_damping(structure: Structure, rig: Rig) -> Structure:
+    """The structure of `build_plain_structure` with the damping that a rig's section says mode by mode."""
+    s = rig.structure
+    if s.damping_factors:
+        structure = structure.with_damping_factors(s.damping_factors)
+    return structure.with_loss_factor(s.loss_factor) if s.loss_factor else structure
+
+
+def build_plain_structure(rig: Rig) -> Structure:
+    """Structure of a rig as `build_structure`, but without damping factors and loss factor; errors as there."""
     s = rig.structure
     try:
         structure = _bare_structure(s)
@@ -46,9 +59,7 @@ def build_structure(rig: Rig) -> Structure:
                 f"the masses of rig {rig.name} do not fit: {error}; check structure.added_masses and the sensors' "
                 "mass_kg."
             ) from error
-    if s.damping_factors:
-        structure = structure.with_damping_factors(s.damping_factors)
-    return structure.with_loss_factor(s.loss_factor) if s.loss_factor else structure
+    return structure
 
 
 def _bare_structure(s: BeamSection | ChainSection | ModalSection | MatricesSection) -> Structure:

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares, linear_sum_assignment
@@ -20,11 +21,12 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.fitting import Data, FitResult
+from nmt_diagnose.fit.pole_slopes import PoleSlopes, RestingMatrices
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.rig_parts import rig_parts
+from nmt_diagnose.prediction.rig_parts import RigParts, rig_parts, same_motion
 from nmt_diagnose.prediction.rig_tables import GAIN
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -41,6 +43,10 @@ _VECTOR_FITTING_ROUNDS = 20
 _EXTRA_POLE_PAIRS = 3
 # Most steps of a search that brings modes together.
 _START_STEPS = 40
+# Step, in prior standard deviations, over which the matrices of a rig are differenced.
+_MATRIX_STEP = 1e-6
+# Damping ratio below which none is told from another.
+_LEAST_DAMPING = 1e-9
 # Residual of a model that has no such modes: larger than any that has.
 _UNPAIRED_RESIDUAL = 1e3
 
@@ -306,33 +312,8 @@ class LowLevelModes:
 
     def modes(self, rig: Rig, test: Measurement) -> Modes | None:
         """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""
-        try:
-            parts = rig_parts(
-                rig, test.channels, FourierBasis.up_to(1), PredictionSettings(),
-                _middle_s(test), ideal_force=test.divisor is not None,
-            )  # fmt: skip
-        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
-            return None
-        linear, r = parts.linear, parts.coordinates
-        displacement_shapes = linear.displacement[:r]
-        with np.errstate(over="ignore", invalid="ignore"):  # a search may go where a force is without bounds
-            stiffness, damping = parts.resting
-            state = np.diag(linear.poles) - linear.inputs[:, :r] @ (
-                stiffness[:, None] * displacement_shapes + damping[:, None] * displacement_shapes * linear.poles
-            )
-        if not np.isfinite(state).all():
-            return None
-        values, vectors = np.linalg.eig(state)
-        kept = (values.imag > 0.0) & (-values.real < THRESHOLDS.modes.highest_model_damping * np.abs(values))
-        order = np.flatnonzero(kept)[np.argsort(np.abs(values[kept]))]
-        s = values[order]
-        full = (linear.displacement[r:], linear.velocity[r:], linear.acceleration[r:])
-        shapes = sum((block @ vectors[:, order]) * s**power for power, block in enumerate(full))
-        # What happens at a frequency appears at it over the rate of the clock.
-        return Modes(
-            np.asarray(s / parts.clock, dtype=np.complex128),
-            np.asarray(np.asarray(shapes, dtype=np.complex128).T * parts.channels[:, GAIN]),
-        )
+        parts = _parts(rig, test)
+        return None if parts is None else _modes_of(parts)
 
     def far_from(self, rig: Rig) -> bool:
         """Whether a mode of a rig lies beyond the half-power bandwidth of the measured one, or this beyond its own."""
@@ -353,13 +334,13 @@ class LowLevelModes:
             theta: their values.
         """
         result = [theta / parametrisation.prior_std]
-        known: dict[tuple[int, str, float], Modes | None] = {}
+        known: dict[_Key, Modes | None] = {}
         try:
             rig: Rig | None = parametrisation.rig(theta)
         except (BenchError, ValueError, ArithmeticError):
             rig = None
         for test, found, which in self.tests:
-            key = test.drive_point, test.referred_to, _middle_s(test)
+            key = _key(test)
             if key not in known:
                 known[key] = None if rig is None else self.modes(rig, test)
             modes = known[key]
@@ -367,9 +348,38 @@ class LowLevelModes:
                 result.append(np.full(2 * which.size, _UNPAIRED_RESIDUAL))
                 continue
             result.append(np.log(found.frequencies_hz / modes.frequencies_hz[which]) / _FREQUENCY_STD)
-            ratio = np.maximum(found.dampings, 1e-9) / np.maximum(modes.dampings[which], 1e-9)
+            ratio = np.maximum(found.dampings, _LEAST_DAMPING) / np.maximum(modes.dampings[which], _LEAST_DAMPING)
             result.append(np.log(ratio) / _DAMPING_STD)
         return np.concatenate(result)
+
+    def jacobian(self, parametrisation: Parametrisation, theta: FloatArray) -> FloatArray:
+        """Derivatives of ``residual`` by the parameters, (m, n): of the poles in closed form.
+
+        The matrices of the rig are low polynomials of most parameters; their differences are as good as derivatives.
+
+        Args:
+            parametrisation: parameters.
+            theta: their values, (n,).
+        """
+        blocks = [np.diag(1.0 / parametrisation.prior_std)]
+        known: dict[_Key, _Slopes | None] = {}
+        for test, _, which in self.tests:
+            key = _key(test)
+            if key not in known:
+                number = 1 + max(int(other.max()) for it, _, other in self.tests if _key(it) == key)
+                known[key] = _slopes(parametrisation, theta, test, number)
+            found = known[key]
+            if found is None or which.max() >= found.poles.size:
+                blocks.append(np.zeros((2 * which.size, theta.size)))
+                continue
+            poles, slopes = found.poles[which, None], found.slopes[which]
+            # The clock divides all poles and leaves dampings as they are.
+            relative = slopes / poles
+            blocks.append(-(relative.real - found.clocks) / _FREQUENCY_STD)
+            damped = slopes.real / poles.real - relative.real
+            ratios = -poles.real / np.abs(poles)
+            blocks.append(np.where(ratios > _LEAST_DAMPING, -damped, 0.0) / _DAMPING_STD)
+        return np.vstack(blocks)
 
     def exceed_priors(self, parametrisation: Parametrisation, theta: FloatArray) -> bool:
         """Whether parameters reach the measured modes only by values that are hard to believe, or not at all."""
@@ -382,7 +392,8 @@ class LowLevelModes:
         """Parameters that bring the model's modes to the measured ones from some others, and what is left, squared."""
         begin = np.where(np.isfinite(parametrisation.lower), np.maximum(theta, parametrisation.lower + 1e-6), theta)
         solved = least_squares(
-            lambda values: self.residual(parametrisation, values), begin, bounds=(parametrisation.lower, np.inf),
+            lambda values: self.residual(parametrisation, values), begin,
+            lambda values: self.jacobian(parametrisation, values), bounds=(parametrisation.lower, np.inf),
             x_scale=parametrisation.prior_std,
             max_nfev=_START_STEPS,
         )  # fmt: skip
@@ -399,11 +410,7 @@ class LowLevelModes:
             more: parameters that continue ``parametrisation``, and their values.
         """
         now = self.residual(parametrisation, theta)
-        steps = 1e-4 * parametrisation.prior_std
-        columns = [
-            (self.residual(parametrisation, theta + step) - now) / step[k] for k, step in enumerate(np.diag(steps))
-        ]
-        q = np.linalg.qr(np.column_stack(columns))[0]
+        q = np.linalg.qr(self.jacobian(parametrisation, theta))[0]
         projected = now - q @ (q.T @ now)
         result = []
         for wider, values in more:
@@ -415,6 +422,86 @@ class LowLevelModes:
                 float(projected @ projected) - (float(projected @ moved) ** 2 / square if square > 0.0 else 0.0)
             )
         return result
+
+
+def _parts(rig: Rig, test: Measurement, near: RigParts | None = None) -> RigParts | None:
+    """A rig as a test meets it, beside one that differs from it a little; None where it cannot be taken apart."""
+    try:
+        return rig_parts(
+            rig, test.channels, FourierBasis.up_to(1), PredictionSettings(),
+            _middle_s(test), ideal_force=test.divisor is not None, near=near,
+        )  # fmt: skip
+    except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
+        return None
+
+
+def _modes_of(parts: RigParts) -> Modes | None:
+    """Modes of a rig with its local forces at rest; None where these are without bounds."""
+    linear, r = parts.linear, parts.coordinates
+    displacement_shapes = linear.displacement[:r]
+    with np.errstate(over="ignore", invalid="ignore"):  # a search may go where a force is without bounds
+        stiffness, damping = parts.resting
+        state = np.diag(linear.poles) - linear.inputs[:, :r] @ (
+            stiffness[:, None] * displacement_shapes + damping[:, None] * displacement_shapes * linear.poles
+        )
+    if not np.isfinite(state).all():
+        return None
+    values, vectors = np.linalg.eig(state)
+    kept = (values.imag > 0.0) & (-values.real < THRESHOLDS.modes.highest_model_damping * np.abs(values))
+    order = np.flatnonzero(kept)[np.argsort(np.abs(values[kept]))]
+    s = values[order]
+    full = (linear.displacement[r:], linear.velocity[r:], linear.acceleration[r:])
+    shapes = sum((block @ vectors[:, order]) * s**power for power, block in enumerate(full))
+    # What happens at a frequency appears at it over the rate of the clock.
+    return Modes(
+        np.asarray(s / parts.clock, dtype=np.complex128),
+        np.asarray(np.asarray(shapes, dtype=np.complex128).T * parts.channels[:, GAIN]),
+    )
+
+
+_Key = tuple[int, str, float]
+
+
+def _key(test: Measurement) -> _Key:
+    """What tests that meet one rig with the same modes have in common."""
+    return test.drive_point, test.referred_to, _middle_s(test)
+
+
+class _Slopes(NamedTuple):
+    """Poles (k,) of a rig, rad/s, their derivatives by its parameters, (k, n), and those of ln of its clock, (n,)."""
+
+    poles: ComplexArray
+    slopes: ComplexArray
+    clocks: FloatArray
+
+
+def _slopes(parametrisation: Parametrisation, theta: FloatArray, test: Measurement, number: int) -> _Slopes | None:
+    """Derivatives of the lowest modes of a rig as a test meets it; None where it has no modes there."""
+    try:
+        rig = parametrisation.rig(theta)
+    except (BenchError, ValueError, ArithmeticError):
+        return None
+    parts = _parts(rig, test)
+    modes = None if parts is None else _modes_of(parts)
+    if parts is None or modes is None:
+        return None
+    poles, matrices = modes.poles[:number] * parts.clock, RestingMatrices.of(parts)
+    try:
+        following = PoleSlopes(matrices, poles)
+    except np.linalg.LinAlgError:
+        return None
+    slopes, clocks = np.zeros((poles.size, theta.size), dtype=np.complex128), np.zeros(theta.size)
+    for column, step in enumerate(_MATRIX_STEP * parametrisation.prior_std):
+        moved = np.array(theta, dtype=np.float64)
+        moved[column] += step
+        other = parametrisation.rig(moved)
+        clocks[column] = math.log1p((other.clock_error - rig.clock_error) / parts.clock) / step
+        if same_motion(other, rig):
+            continue
+        changed = _parts(other, test, parts)
+        if changed is not None:
+            slopes[:, column] = following.along(RestingMatrices.of(changed).minus(matrices)) / step
+    return _Slopes(poles, slopes, clocks)
 
 
 def _middle_s(test: Measurement) -> float:

@@ -85,6 +85,7 @@ class PartsCache:
                 parts = rig_parts(
                     with_exciters_at(rig, setup.drive_points), setup.channels, setup.basis, self.settings, seconds,
                     cycles, setup.ideal_force, None if near is None else near[1],
+                    tuple(parts for _, parts in self._known.values()),
                 )  # fmt: skip
                 if (
                     near is not None

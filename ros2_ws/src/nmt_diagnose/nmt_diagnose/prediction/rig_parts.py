@@ -56,10 +56,12 @@ from nmt_rig.rig import (
 from nmt_rig.rig_model import (
     build_elements,
     build_exciter_elements,
+    build_plain_structure,
     build_structure,
     build_system,
     build_table,
     inputs_per_volt,
+    with_modal_damping,
 )
 
 _OUTPUTS = {
@@ -97,7 +99,9 @@ class RigParts:
         rows: outputs.
         keys: identity of each coordinate, to carry solutions over to another rig.
         structure: the structure alone.
+        plain: the same without the damping that its section says mode by mode.
         bare: structure and exciter without local elements.
+        forced: a shaking table was left out of ``bare``: the input is a force.
         rig: what was taken apart, as it is at that moment.
         timed: further nonlinear forces of the first coordinates, which only the stepping through a record predicts.
     """
@@ -118,7 +122,9 @@ class RigParts:
     rows: OutputRows
     keys: tuple[str, ...]
     structure: Structure
+    plain: Structure
     bare: ElectromechanicalSystem
+    forced: bool
     rig: Rig
     timed: TimedElements
 
@@ -197,6 +203,7 @@ def rig_parts(
     cycles: float = 0.0,
     ideal_force: bool = False,
     near: RigParts | None = None,
+    others: Sequence[RigParts] = (),
 ) -> RigParts:
     """Take a rig apart, as it is ``seconds`` and ``cycles`` after the start of a test.
 
@@ -208,13 +215,14 @@ def rig_parts(
         seconds, cycles: bench time and drive periods for the drift of slip forces and stiffness.
         ideal_force: leave out the exciter; the input is the force on the structure, N.
         near: parts of a rig from which this one differs by an infinitesimal step: its poles are followed; None = found.
+        others: parts of rigs from which structures are taken where they are the same.
 
     Raises:
         BenchError: the rig has something the predictor does not cover.
     """
     rig = _prepared(rig, settings, seconds, ideal_force, channels)
     forced = ideal_force and isinstance(rig.exciter, ShakingTableSection)
-    structure, bare = _bare(rig, forced, near)
+    plain, structure, bare = _bare(rig, forced, others if near is None else (near, *others))
     system, size = bare, bare.size
 
     stiffness, damping = system.stiffness, system.damping
@@ -284,28 +292,58 @@ def rig_parts(
         rows=rows,
         keys=tuple(keys),
         structure=structure,
+        plain=plain,
         bare=bare,
+        forced=forced,
         rig=rig,
         timed=local.timed,
     )
 
 
-def _bare(rig: Rig, forced: bool, near: RigParts | None) -> tuple[Structure, ElectromechanicalSystem]:
-    """Structure alone, and with its exciter; those of ``near`` where they are the same."""
-    kept = near is not None and same_structure(rig, near.rig)
-    if near is not None and kept and rig.all_exciters == near.rig.all_exciters:
-        return near.structure, near.bare
+def _bare(rig: Rig, forced: bool, others: Sequence[RigParts]) -> tuple[Structure, Structure, ElectromechanicalSystem]:
+    """Structure without the damping of its modes, with it, and with its exciter; of others where they have the same."""
     without = rig.model_copy(update={"local_elements": []})
-    structure = near.structure if near is not None and kept else build_structure(without)
-    bare = build_system(without, structure)
-    return structure, driven_by_force(bare) if forced else bare
+    alike = [parts for parts in others if same_masses(rig, parts.rig)]
+    equal = [parts for parts in alike if _equal_structures(rig, parts.rig)]
+    if equal:
+        plain, structure = equal[0].plain, equal[0].structure
+    else:
+        same = (parts.plain for parts in alike if _equal_structures(rig, parts.rig, but_for=_MODAL_DAMPING))
+        plain = next(same, None) or build_plain_structure(without)
+        structure = with_modal_damping(plain, without)
+    known = (parts.bare for parts in equal if rig.all_exciters == parts.rig.all_exciters and parts.forced == forced)
+    bare = next(known, None)
+    if bare is None:
+        bare = build_system(without, structure)
+        bare = driven_by_force(bare) if forced else bare
+    return plain, structure, bare
 
 
-def same_structure(rig: Rig, other: Rig) -> bool:
-    """Whether two rigs have equal structures, with equal masses of sensors on them."""
-    if rig.exciter_points != other.exciter_points or not (
-        rig.structure is other.structure or rig.structure == other.structure
-    ):
+_MODAL_DAMPING = frozenset(("damping_factors", "loss_factor"))
+
+
+def _equal_structures(rig: Rig, other: Rig, but_for: frozenset[str] = frozenset()) -> bool:
+    """Whether the sections of two structures are equal, but for some keys."""
+    a, b = rig.structure, other.structure
+    return a is b or (
+        type(a) is type(b) and all(value == getattr(b, key) for key, value in a.__dict__.items() if key not in but_for)
+    )
+
+
+def same_motion(rig: Rig, other: Rig) -> bool:
+    """Whether two rigs have equal systems with equal local elements: no more than sensors and clock differ."""
+    return (
+        _equal_structures(rig, other)
+        and rig.all_exciters == other.all_exciters
+        and rig.local_elements == other.local_elements
+        and rig.drift == other.drift
+        and same_masses(rig, other)
+    )
+
+
+def same_masses(rig: Rig, other: Rig) -> bool:
+    """Whether two rigs have equal masses of sensors on their structures, and exciters at the same points."""
+    if rig.exciter_points != other.exciter_points:
         return False
     return rig.sensors is other.sensors or (
         len(rig.sensors) == len(other.sensors)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -156,7 +157,7 @@ class Structure(PointMotion):
 
         Each undamped mode gets ζ = η / 2, which loses at its frequency as much as iη does.
         """
-        squares, weighted = self._undamped()
+        squares, weighted = self._undamped
         rates = loss_factor * np.sqrt(np.maximum(squares, 0.0))
         return replace(self, damping=self.damping + (weighted * rates) @ weighted.T)
 
@@ -166,13 +167,19 @@ class Structure(PointMotion):
         The last factor holds for all modes above, too. What the law of damping says of a mode is a guess until the mode
         is measured. Damping that couples modes stays.
         """
-        _, weighted = self._undamped()
-        shapes = np.linalg.solve(self.mass, weighted)
-        own = np.einsum("ik,ij,jk->k", shapes, self.damping, shapes)
-        each = np.full(own.size, float(factors[-1]))
-        each[: len(factors)] = factors[: own.size]
-        return replace(self, damping=self.damping + (weighted * ((each - 1.0) * own)) @ weighted.T)
+        weighted, dampings = self._undamped[1], self._modal_dampings
+        each = np.full(dampings.size, float(factors[-1]))
+        each[: len(factors)] = factors[: dampings.size]
+        return replace(self, damping=self.damping + (weighted * ((each - 1.0) * dampings)) @ weighted.T)
 
+    @cached_property
+    def _modal_dampings(self) -> Array:
+        """Damping (n,) of each undamped mode over its modal mass, 1/s."""
+        weighted = self._undamped[1]
+        shapes = np.linalg.solve(self.mass, weighted)
+        return np.asarray(np.einsum("ik,ij,jk->k", shapes, self.damping, shapes))
+
+    @cached_property
     def _undamped(self) -> tuple[Array, Array]:
         """ω² (n,) of the undamped modes, ascending, and M φ (n, n) of their mass-normalised shapes."""
         squares, shapes = eigh(self.stiffness, self.mass)

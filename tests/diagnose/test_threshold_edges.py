@@ -21,6 +21,7 @@ from nmt_diagnose.effects.structure_effects import excess_exponent, largest_air_
 from nmt_diagnose.fit.best_fit import spread_of
 from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.fit.noise import Groups, beyond_noise
+from nmt_diagnose.law.reading import LawReading, LocalLaw
 from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, Hypotheses, SourceEvidence
 from nmt_diagnose.ledger.diagnosis import PlaceShare, Ranked, Share, Verdict
 from nmt_diagnose.ledger.gap import ClosedShare, _share
@@ -32,7 +33,7 @@ from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.lateness import delay_of
 from nmt_diagnose.say.residual_tests import residual_tests
-from nmt_diagnose.say.result_rows import place_rows
+from nmt_diagnose.say.result_rows import is_located, place_rows
 from nmt_diagnose.say.sentences import sentences, where_words
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -194,6 +195,17 @@ def nearest(closed: float, after: float = 1.0) -> str:
     return text.removeprefix("Nothing in the library explains ").partition(" of it")[0]
 
 
+def located(closed: float, *refusals: str, law: bool = False) -> bool:
+    """Whether the place of an unknown gap is told."""
+    reading = LawReading("test", 8, (LocalLaw(2, 0, "", (), 1.0, (), ()),), 9.0, 1.0, 1.0, 1.0, refusals)
+    return is_located(replace(GAP, closed=closed), reading if law else None)
+
+
+def test_a_law_that_is_told_has_a_place_whatever_effects_close() -> None:
+    assert located(0.1, law=True)
+    assert not located(0.1, "levels that were left out are predicted no better", law=True)
+
+
 def courses(levels: int) -> bool:
     observations = run_observations(levels=levels)
     every = np.ones(len(observations.rows), dtype=bool)
@@ -264,8 +276,10 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
         [Verdict.EFFECT, Verdict.UNKNOWN],
     ),
     "verdict.nearest_closed_share": (
-        lambda: [nearest(0.32), nearest(0.34), nearest(math.nan, 7.1), nearest(math.nan, 6.9)],
-        ["a third", "all", "a third", "all"],
+        lambda: [
+            (located(0.32), located(0.34)), nearest(0.32), nearest(0.34), nearest(math.nan, 7.1), nearest(math.nan, 6.9)
+        ],
+        [(False, True), "a third", "all", "a third", "all"],
     ),
     "verdict.as_likely_share": (lambda: (details(0.19), details(0.21)), ("2", "2 + 3")),
     "verdict.least_location_probability": (lambda: (listed(0.004), listed(0.006)), (1, 2)),

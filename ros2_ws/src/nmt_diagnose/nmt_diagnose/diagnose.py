@@ -46,7 +46,15 @@ from nmt_diagnose.say.law_sentences import law_sentences
 from nmt_diagnose.say.remainder import remainder
 from nmt_diagnose.say.residual_map import per_observable, residual_map
 from nmt_diagnose.say.residual_tests import residual_tests
-from nmt_diagnose.say.result_rows import calibration_rows, candidate_row, inputs, parameters, place_rows, ranked_rows
+from nmt_diagnose.say.result_rows import (
+    calibration_rows,
+    candidate_row,
+    inputs,
+    is_located,
+    parameters,
+    place_rows,
+    ranked_rows,
+)
 from nmt_diagnose.say.sentences import likeness, relieving, sentences
 from nmt_diagnose.search.findings import find
 from nmt_diagnose.search.memory import Memory
@@ -209,9 +217,8 @@ def _diagnosed(
     left = _left(judgement, held_out)
     gap = _gap(judgement, held_out, left)
     reported = judgement.nearest is not None
-    # Where nothing bridges the gap, the places of what is less bad say nothing of where it lies.
-    placed = verdict is not Verdict.UNKNOWN or gap.bridged >= THRESHOLDS.verdict.nearest_closed_share
-    where = place_rows(comparison, findings.sources) if reported and placed else ()
+    located = reported if verdict is not Verdict.UNKNOWN else is_located(gap, judgement.law)
+    where = place_rows(comparison, findings.sources) if located else ()
     ranking = ranked_rows(data, comparison, judgement.shares, judgement.partial) if reported else ()
     calibration = calibration_rows(judgement.best)
     answer = Answered(

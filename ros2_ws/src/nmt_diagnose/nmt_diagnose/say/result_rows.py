@@ -15,8 +15,9 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.location import Explanation, joined
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Data, Metric
+from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.ledger.comparison import Comparison
-from nmt_diagnose.ledger.diagnosis import NULL, PlaceShare, Ranked, Recalibrated, Share, Value
+from nmt_diagnose.ledger.diagnosis import NULL, Gap, PlaceShare, Ranked, Recalibrated, Share, Value
 from nmt_diagnose.ledger.gap import ClosedShare
 from nmt_diagnose.ledger.held_out import Split
 from nmt_diagnose.observations.observables import Observations
@@ -97,6 +98,15 @@ def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
             label = f"{candidate.label}.{name}" if len(named) > 1 else name
             result[label] = Value(value, math.sqrt(max(variance, 0.0)), unit)
     return result
+
+
+def is_located(gap: Gap, law: LawReading | None) -> bool:
+    """Whether places of an unknown gap are told: an effect bridges a third of it, or a law is stated.
+
+    Of explanations that leave most of a gap the less bad one says nothing of where it lies.
+    """
+    lawful = law is not None and law.is_stated
+    return lawful or gap.bridged >= THRESHOLDS.verdict.nearest_closed_share
 
 
 def place_rows(comparison: Comparison, explained: Mapping[str, float]) -> tuple[PlaceShare, ...]:

@@ -62,6 +62,7 @@ def nonlinear_modes(
     start: tuple[float, float],
     highest: int = 15,
     samples: int = 1024,
+    tolerance: float = 1e-11,
 ) -> list[NonlinearMode]:
     """Motions of growing w_1.
 
@@ -73,6 +74,7 @@ def nonlinear_modes(
         start: ω (rad/s) and δ̃ of the mode with the element sticking.
         highest: highest (odd) harmonic.
         samples: of a period.
+        tolerance: of the balance over the element's force; near the onset of sliding the samples leave some.
     """
     orders = np.arange(1, highest + 1, 2)
     theta = 2.0 * np.pi * np.arange(samples) / samples
@@ -103,7 +105,7 @@ def nonlinear_modes(
     for w1 in displacements:
         for _ in range(40):
             here = residual(unknowns, w1)
-            if np.abs(here).max() < 1e-11:
+            if np.abs(here).max() < tolerance:
                 break
             jacobian = np.empty((unknowns.size, unknowns.size))
             for k, step in enumerate(steps):

@@ -15,6 +15,9 @@ from independent.healthy_tables import STRUCTURES, make_case
 from independent.laboratory_two import bending_roots, bending_shape
 from scipy.optimize import brentq
 
+from nmt_record.exchange.imports.imported_run import read_import
+from nmt_rig.rig import load_rig
+
 
 def columns(path: Path) -> dict[str, np.ndarray]:
     with path.open(encoding="utf-8") as file:
@@ -71,6 +74,9 @@ def test_seeds_cover_all_structures_and_factors_on_both_sides(tmp_path: Path) ->
     assert all(truth["kind"] == "healthy" for truth in truths)
     factors = [float(truth["remark"].split()[3]) for truth in truths]
     assert min(factors) < 1.0 < max(factors)
+    for name in names:
+        load_rig(tmp_path / name / "model.yaml")
+        assert read_import(tmp_path / name / "sidecar.yaml").tables
 
 
 def test_the_same_seed_gives_the_same_tables(tmp_path: Path) -> None:

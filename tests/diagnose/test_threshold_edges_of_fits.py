@@ -190,7 +190,11 @@ def nearest_poles(ratio: float) -> int:
     at_rest = np.zeros(1), np.zeros(1)
     with patch.object(gaussian_motion, "_settled", settled):
         omega = np.array([10.0, 20.0])
-        gaussian_motion.forces_in_motion(model, tables, np.ones(1, bool), at_rest, (), omega, 1.0, np.ones(1))  # type: ignore[arg-type]
+        nothing: Any = ()
+        driven = gaussian_motion.DrivenForces(
+            model, tables, np.ones(1, bool), at_rest, nothing, omega, 1.0, np.ones(1), ("1",)
+        )  # fmt: skip
+        assert driven.found is None
     return followed[0]
 
 

@@ -1,11 +1,14 @@
 """Local forces under the motion that a random drive makes: motion and equivalent forces that belong to each other.
 
 The drive is flat over the lines of the test and has a known rms. Motion gives the equivalent springs and dampers of the
-local forces (equivalent_linear.py), these give the motion; turns go on until neither changes.
+local forces (equivalent_linear.py), these give the motion; turns go on until neither changes. How forces and motion
+follow a small change of the rig needs one turn and the derivatives of a turn by the forces (implicit function theorem).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +27,8 @@ _ABOUT = np.sinh(np.linspace(-6.0, 6.0, 61)) / 4.0
 # the last, poles that move with rounding move the sums, and a change that does not fall is theirs.
 _TURNS, _SETTLED, _ROUNDING = 40, 1e-9, 1e-6
 _NODES = tuple(NODES)
+# Step of stiffness and damping over which a turn is differenced, over what moves the coordinate.
+_FORCE_STEP = 1e-5
 
 
 class NearPoles(NamedTuple):
@@ -40,19 +45,26 @@ class NearPoles(NamedTuple):
     inputs: ComplexArray
 
 
-def forces_in_motion(
-    model: LinearModel,
-    tables: LocalTables,
-    acting: NDArray[np.bool_],
-    resting: tuple[FloatArray, FloatArray],
-    fractions: Fractions,
-    omega: FloatArray,
-    drive_rms: float,
-    powers: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Stiffness (N/m) and damping (N s/m) of the local forces of each coordinate, (r,) each.
+class Room(NamedTuple):
+    """Room for what a turn finds.
 
-    Args:
+    Attributes:
+        omega: frequencies at which the motion is added up, rad/s.
+        moved, fast: rms displacement and velocity of each coordinate, (count,).
+        most: largest |H|² of each, (count,).
+    """
+
+    omega: FloatArray
+    moved: FloatArray
+    fast: FloatArray
+    most: FloatArray
+
+
+@dataclass(frozen=True)
+class DrivenForces:
+    """Local forces of a rig under the motion that a random drive makes.
+
+    Attributes:
         model: the linear part.
         tables: of the local forces.
         acting: (coordinates of the tables,) which carry a force that depends on the motion.
@@ -61,23 +73,101 @@ def forces_in_motion(
         omega: (lines,) of the test, rad/s, at least two.
         drive_rms: of the reference over the band, V or N.
         powers: (exciters,) of the drive of each over that of the first.
+        keys: identity of each coordinate.
     """
-    r = resting[0].size
-    low, high = float(omega.min()), float(omega.max())
-    near = np.flatnonzero(
-        (np.abs(model.poles) < THRESHOLDS.prediction.far_pole_ratio * high)
-        & (np.abs(model.poles) > low / THRESHOLDS.prediction.far_pole_ratio)
-    )
-    nearest = (
-        model.poles[near],
-        np.ascontiguousarray(model.displacement[:r, near]),
-        np.ascontiguousarray(model.inputs[near, :r]),
-    )
-    stiffness, damping, found = _settled(
-        np.ascontiguousarray(omega), nearest, acting, *resting, tuple(fractions), drive_rms, powers,
-        tuple(tables.elements), _NODES, _ABOUT,
-    )  # fmt: skip
-    return (stiffness, damping) if found else resting
+
+    model: LinearModel
+    tables: LocalTables
+    acting: NDArray[np.bool_]
+    resting: tuple[FloatArray, FloatArray]
+    fractions: Fractions
+    omega: FloatArray
+    drive_rms: float
+    powers: FloatArray
+    keys: tuple[str, ...]
+
+    @cached_property
+    def _near(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        r, ratio = self.resting[0].size, THRESHOLDS.prediction.far_pole_ratio
+        sizes = np.abs(self.model.poles)
+        near = np.flatnonzero((sizes < ratio * float(self.omega.max())) & (sizes > float(self.omega.min()) / ratio))
+        return (
+            self.model.poles[near],
+            np.ascontiguousarray(self.model.displacement[:r, near]),
+            np.ascontiguousarray(self.model.inputs[near, :r]),
+        )
+
+    @cached_property
+    def found(self) -> tuple[FloatArray, FloatArray] | None:
+        """Stiffness (N/m) and damping (N s/m) of each coordinate, (r,) each; None where there is no motion."""
+        stiffness, damping, found = _settled(
+            np.ascontiguousarray(self.omega), self._near, self.acting, *self.resting, tuple(self.fractions),
+            self.drive_rms, self.powers, tuple(self.tables.elements), _NODES, _ABOUT,
+        )  # fmt: skip
+        return (stiffness, damping) if found else None
+
+    @property
+    def forces(self) -> tuple[FloatArray, FloatArray]:
+        """The same; those at rest where there is no motion."""
+        return self.resting if self.found is None else self.found
+
+    def turned(self, forces: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Forces, (2 r,), that the motion makes which some forces let it have, stiffness first, and the steps of these.
+
+        None where there is no motion.
+        """
+        r, count = self.resting[0].size, self.acting.size
+        stiffness, damping, moved, fast, most, there = _turned(
+            np.ascontiguousarray(self.omega), self._near, self.acting, forces[:r].copy(), forces[r:].copy(),
+            tuple(self.fractions), self.drive_rms, self.powers, tuple(self.tables.elements), _NODES, _ABOUT,
+        )  # fmt: skip
+        if not there:
+            return None
+        result, steps = forces.copy(), np.zeros(2 * r)
+        result[:count], result[r : r + count] = stiffness, damping
+        # Of acting coordinates: other forces stay as they are.
+        steps[:count][self.acting] = _FORCE_STEP / np.sqrt(most[self.acting])
+        steps[r : r + count][self.acting] = steps[:count][self.acting] * (moved / fast)[self.acting]
+        return result, steps
+
+    @cached_property
+    def _following(self) -> tuple[FloatArray, FloatArray, FloatArray] | None:
+        """Forces that were found, those after one more turn, (2 r,) each, and (1 − ∂turn/∂forces)⁻¹."""
+        if self.found is None:
+            return None
+        forces = np.concatenate(self.found)
+        again = self.turned(forces)
+        if again is None:
+            return None
+        turned, steps = again
+        slopes = np.zeros((forces.size, forces.size))
+        for column in np.flatnonzero(steps > 0.0):
+            moved = forces.copy()
+            moved[column] += steps[column]
+            other = self.turned(moved)
+            if other is None:
+                return None
+            slopes[:, column] = (other[0] - turned) / steps[column]
+        try:
+            inverse = np.asarray(np.linalg.inv(np.eye(forces.size) - slopes), dtype=np.float64)
+        except np.linalg.LinAlgError:
+            return None
+        return (forces, turned, inverse) if np.isfinite(inverse).all() else None
+
+    def followed(self, other: DrivenForces) -> tuple[FloatArray, FloatArray] | None:
+        """Forces of a rig that differs a little, to first order; None where these do not tell."""
+        if other.keys != self.keys or not np.array_equal(other.acting, self.acting) or self._following is None:
+            return None
+        forces, turned, inverse = self._following
+        # What is no force of a motion is what it is at rest.
+        r, count = self.resting[0].size, self.acting.size
+        begin = forces.copy()
+        begin[count:r], begin[r + count :] = other.resting[0][count:], other.resting[1][count:]
+        again = other.turned(begin)
+        if again is None:
+            return None
+        result = forces + inverse @ (again[0] - turned)
+        return result[:r], result[r:]
 
 
 @njit(cache=True)
@@ -101,33 +191,18 @@ def _settled(
     """
     near, fractions = NearPoles(*near_tables), Fractions(*fraction_tables)
     elements, nodes = ElementTables(*element_tables), Quadrature(*node_tables)
-    count, r = acting.size, rest_stiffness.size
-    low, high = lines.min(), lines.max()
+    count = acting.size
     stiffness, damping = rest_stiffness.copy(), rest_damping.copy()
-    poles = near.poles
     before, size = np.inf, 1.0
-    omega = np.empty(lines.size + poles.size * about.size)
+    omega = np.empty(lines.size + near.poles.size * about.size)
     moved, fast, most = np.empty(count), np.empty(count), np.empty(count)
+    room = Room(omega, moved, fast, most)
     for _ in range(_TURNS):
-        omega[: lines.size] = lines
-        places = lines.size
-        # About each pole the lines of the test may be too far apart.
-        for pole in _closed_poles(near, stiffness, damping):
-            if pole.imag > 0.0:
-                natural = abs(pole)
-                width = max(abs(pole.real), 1e-4 * natural)
-                # Clipped, not left out: sums must not jump where a pole moves.
-                for n in range(about.size):
-                    omega[places + n] = min(max(natural + width * about[n], low), high)
-                places += about.size
-        total = _powers(np.sort(omega[:places]), r, stiffness, damping, fractions, powers, moved, fast, most)
-        scale = drive_rms * drive_rms / total
-        for i in range(count):
-            moved[i], fast[i] = np.sqrt(scale * moved[i]), np.sqrt(scale * fast[i])
-            if not np.isfinite(moved[i]) or (acting[i] and not moved[i] > 0.0):
-                return stiffness, damping, False
-            moved[i], fast[i] = max(moved[i], 1e-300), max(fast[i], 1e-300)
-        k_new, d_new = equivalents_kernel(elements, moved, fast, nodes)
+        k_new, d_new, found = _turn(
+            lines, near, acting, stiffness, damping, fractions, drive_rms, powers, elements, nodes, about, room
+        )  # fmt: skip
+        if not found:
+            return stiffness, damping, False
         # Over what moves the coordinate as it is.
         change = 0.0
         for i in range(count):
@@ -148,6 +223,79 @@ def _settled(
         if change < _SETTLED:
             break
     return stiffness, damping, True
+
+
+@njit(cache=True)
+def _turned(
+    lines: FloatArray,
+    near_tables: tuple[ComplexArray, ComplexArray, ComplexArray],
+    acting: NDArray[np.bool_],
+    stiffness: FloatArray,
+    damping: FloatArray,
+    fraction_tables: tuple[FloatArray, ...],
+    drive_rms: float,
+    powers: FloatArray,
+    element_tables: tuple[Any, ...],
+    node_tables: tuple[FloatArray, ...],
+    about: FloatArray,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, bool]:
+    """Stiffness and damping after one turn, rms displacement and velocity, largest |H|², (count,) each; whether found.
+
+    Tables as of ``_settled``.
+    """
+    near, fractions = NearPoles(*near_tables), Fractions(*fraction_tables)
+    elements, nodes = ElementTables(*element_tables), Quadrature(*node_tables)
+    count = acting.size
+    omega = np.empty(lines.size + near.poles.size * about.size)
+    moved, fast, most = np.empty(count), np.empty(count), np.empty(count)
+    room = Room(omega, moved, fast, most)
+    k_new, d_new, found = _turn(
+        lines, near, acting, stiffness, damping, fractions, drive_rms, powers, elements, nodes, about, room
+    )  # fmt: skip
+    return k_new, d_new, moved, fast, most, found
+
+
+@njit(cache=True)
+def _turn(
+    lines: FloatArray,
+    near: NearPoles,
+    acting: NDArray[np.bool_],
+    stiffness: FloatArray,
+    damping: FloatArray,
+    fractions: Fractions,
+    drive_rms: float,
+    powers: FloatArray,
+    elements: ElementTables,
+    nodes: Quadrature,
+    about: FloatArray,
+    room: Room,
+) -> tuple[FloatArray, FloatArray, bool]:
+    """Equivalent stiffness and damping, (count,) each, under the motion that some, (r,) each, make; whether there is
+    one.
+    """
+    omega, moved, fast, most = room
+    count, r = acting.size, stiffness.size
+    low, high = lines.min(), lines.max()
+    omega[: lines.size] = lines
+    places = lines.size
+    # About each pole the lines of the test may be too far apart.
+    for pole in _closed_poles(near, stiffness, damping):
+        if pole.imag > 0.0:
+            natural = abs(pole)
+            width = max(abs(pole.real), 1e-4 * natural)
+            # Clipped, not left out: sums must not jump where a pole moves.
+            for n in range(about.size):
+                omega[places + n] = min(max(natural + width * about[n], low), high)
+            places += about.size
+    total = _powers(np.sort(omega[:places]), r, stiffness, damping, fractions, powers, moved, fast, most)
+    scale = drive_rms * drive_rms / total
+    for i in range(count):
+        moved[i], fast[i] = np.sqrt(scale * moved[i]), np.sqrt(scale * fast[i])
+        if not np.isfinite(moved[i]) or (acting[i] and not moved[i] > 0.0):
+            return stiffness[:count], damping[:count], False
+        moved[i], fast[i] = max(moved[i], 1e-300), max(fast[i], 1e-300)
+    k_new, d_new = equivalents_kernel(elements, moved, fast, nodes)
+    return k_new, d_new, True
 
 
 @njit(cache=True)

@@ -8,6 +8,7 @@ from typing import Any
 
 from nmt_diagnose.effects.rig_edit import with_exciters_at
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.prediction.gaussian_motion import DrivenForces
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import (
     RigParts,
@@ -56,11 +57,16 @@ class PartsCache:
     Args:
         settings: of the predictor.
         base: parts of a rig from which this one differs by an infinitesimal step.
+
+    Attributes:
+        base: the same.
+        forces: local forces under random drives that predictors found, by predictor and moment.
     """
 
     def __init__(self, settings: PredictionSettings, base: PartsCache | None = None) -> None:
         self.settings = settings
-        self._base = base
+        self.base = base
+        self.forces: dict[tuple[object, float], DrivenForces] = {}
         self._known: dict[tuple[int, float, float], tuple[Rig, RigParts]] = {}
         # Rigs that differ from this one by an infinitesimal step and have more coordinates, the newest one each.
         self._wider: dict[tuple[Any, ...], tuple[Rig, RigParts]] = {}
@@ -78,8 +84,8 @@ class PartsCache:
             near = self._near(key)
             parts = self._later(rig, setup, key) if near is None else self._shared(rig, setup, key, *near)
             places = (key, *((e.point, e.other_point, e.rotation, e.side) for e in rig.local_elements))
-            if parts is None and near is not None and self._base is not None:
-                wider = self._base._wider.get(places)
+            if parts is None and near is not None and self.base is not None:
+                wider = self.base._wider.get(places)
                 parts = None if wider is None else self._shared(rig, setup, key, *wider)
             if parts is None:
                 parts = rig_parts(
@@ -87,12 +93,8 @@ class PartsCache:
                     cycles, setup.ideal_force, None if near is None else near[1],
                     tuple(parts for _, parts in self._known.values()),
                 )  # fmt: skip
-                if (
-                    near is not None
-                    and self._base is not None
-                    and len(rig.local_elements) > len(near[0].local_elements)
-                ):
-                    self._base._wider[places] = (rig, parts)
+                if near is not None and self.base is not None and len(rig.local_elements) > len(near[0].local_elements):
+                    self.base._wider[places] = (rig, parts)
             found = (rig, parts)
             self._known[key] = found
         return found[1]
@@ -109,9 +111,9 @@ class PartsCache:
 
     def _near(self, key: tuple[int, float, float]) -> tuple[Rig, RigParts] | None:
         """The base's rig and parts, at the same moment or without drift."""
-        if self._base is None:
+        if self.base is None:
             return None
-        return self._base._known.get(key) or self._base._known.get((key[0], 0.0, 0.0))
+        return self.base._known.get(key) or self.base._known.get((key[0], 0.0, 0.0))
 
     def _shared(
         self, rig: Rig, setup: Setup, key: tuple[int, float, float], other: Rig, parts: RigParts

@@ -16,7 +16,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Part, Rows
-from nmt_diagnose.prediction.gaussian_motion import forces_in_motion
+from nmt_diagnose.prediction.gaussian_motion import DrivenForces
 from nmt_diagnose.prediction.linear_model import Fractions
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -134,15 +134,17 @@ class RandomPredictor(Predictor):
         """Expected estimates (lines, channels)."""
         parts = cache.parts(rig, self.setup, self.seconds)
         fractions = self._fractions(parts)
-        local = self._local(parts, fractions)
+        local = self._local(parts, fractions, cache, self.seconds)
         result = self._smoothed(rig, cache, parts, local, fractions)
         if self._folding is None:
             return result
         return np.asarray(self._folding.at_lines * result + self._images(parts, local, self._folding, fractions))
 
-    def _local(self, parts: RigParts, fractions: Fractions) -> tuple[FloatArray, FloatArray]:
+    def _local(
+        self, parts: RigParts, fractions: Fractions, cache: PartsCache, seconds: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Stiffness and damping of the local forces under the motion that the drive makes, (r,) each; see
-        gaussian_motion.py. A drive of unknown size is small.
+        gaussian_motion.py. A drive of unknown size is small. Those of a slightly different rig follow from the other's.
         """
         parts.require_balanced()
         test, tables = self.test, parts.tables
@@ -153,7 +155,15 @@ class RandomPredictor(Predictor):
             return parts.resting
         omega = 2.0 * np.pi * parts.clock * test.lines_hz
         powers = np.array([1.0, *((rms / test.drive_rms) ** 2 for rms in test.other_rms)])
-        return forces_in_motion(parts.linear, tables, acting, parts.resting, fractions, omega, test.drive_rms, powers)
+        driven = DrivenForces(
+            parts.linear, tables, acting, parts.resting, fractions, omega, test.drive_rms, powers, parts.keys
+        )
+        base = None if cache.base is None else cache.base.forces.get((self, seconds))
+        followed = None if base is None else base.followed(driven)
+        if followed is None:
+            cache.forces[self, seconds] = driven
+            return driven.forces
+        return followed
 
     def _images(
         self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: Fractions
@@ -193,7 +203,8 @@ class RandomPredictor(Predictor):
         for moment in self.seconds + half * _MOMENTS:
             parts = cache.parts(rig, self.setup, float(moment))
             fractions = self._fractions(parts)
-            every.append(self._plain(parts, self._local(parts, fractions), self.frequencies, fractions))
+            local = self._local(parts, fractions, cache, float(moment))
+            every.append(self._plain(parts, local, self.frequencies, fractions))
         index = np.hstack([self.index + k * self.frequencies.size for k in range(_MOMENTS.size)])
         result: ComplexArray = windowed(np.concatenate(every), index, np.outer(_SHARES, self.weights).ravel())
         return result

@@ -66,6 +66,36 @@ def test_a_small_effect_has_the_place_that_noise_leaves_it() -> None:
     assert placed(10.0, 1000.0)["4"] < 0.7
 
 
+def pair(residual: np.ndarray) -> Any:
+    """The effect at point 4 with a damping at point 1 beside it, of equal strengths."""
+    made = found(residual, 4)
+    damping = Cause("viscous_damping", Location.at("structure", 1))
+    made.explanation = Explanation((*made.explanation.causes, damping))
+    made.effects = made.explanation.effects
+    beside = SimpleNamespace(
+        effect=SimpleNamespace(name="viscous_damping"), site=SimpleNamespace(location=damping.location, limits={})
+    )
+    made.candidates = (*made.candidates, beside)
+    made.stated, made.strength = (0, 1), lambda member: 5.0
+    return made
+
+
+def test_an_effect_of_a_pair_that_was_fitted_at_one_place_is_no_surer_of_it_than_by_itself() -> None:
+    null, here, there = found(LEFT + 900.0 * ALONG), found(LEFT + 3.0 * ALONG, 4), found(LEFT + 6.0 * ALONG, 7)
+    both = pair(LEFT)
+    known = [here.candidates[0], both.candidates[1]]
+    for single in (here, there):
+        single.strength = lambda member: 5.0
+    everything = Hypotheses(None, null, [here, there, both], known, [], [], [])  # type: ignore[arg-type]
+    alone = {location.detail: p for location, p in everything.located(here.effects)}
+    together = {location.detail: p for location, p in everything.located(both.effects)}
+    assert 0.3 < alone["7"] < 0.7
+    assert together == pytest.approx({"4": 0.5 * alone["4"], "7": 0.5 * alone["7"], "1": 0.5})
+    # Where the effect was not fitted by itself the pair has the place at which it was.
+    by_itself = Hypotheses(None, null, [both], known, [], [], [])  # type: ignore[arg-type]
+    assert {location.detail: p for location, p in by_itself.located(both.effects)} == {"4": 0.5, "1": 0.5}
+
+
 def test_likely_places_are_told_with_their_probabilities() -> None:
     head = Ranked(
         "cubic_stiffness", "structure", "4", 0.9, (), {}, Share(0.9, 0.8, 1.0), 9.0,

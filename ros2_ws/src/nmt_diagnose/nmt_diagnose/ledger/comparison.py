@@ -416,9 +416,8 @@ class Hypotheses:
         for explanation, p in zip(stated, p_named, strict=True):
             by_effects[explanation.effects] = by_effects.get(explanation.effects, 0.0) + float(p)
         for effects, p in by_effects.items():
-            for explanation, at_place in self._placed(effects):
-                for location, share in _shares(explanation):
-                    by_place[location] = by_place.get(location, 0.0) + p * at_place * share
+            for location, share in self.located(effects):
+                by_place[location] = by_place.get(location, 0.0) + p * share
         for source, p in zip(self.alone, p_unnamed, strict=False):
             by_place[source.location] = by_place.get(source.location, 0.0) + float(p)
         for source, p in zip(self.behind, p_unnamed[len(self.alone) :], strict=True):
@@ -478,6 +477,28 @@ class Hypotheses:
         logs = np.array([self.prior(it) - 0.5 * excess[key] / variance for key, it in best.items()])
         shares = np.exp(logs - logs.max())
         return list(zip(best.values(), (shares / shares.sum()).tolist(), strict=True))
+
+    def located(self, effects: tuple[str, ...]) -> list[tuple[Location, float]]:
+        """Places of some effects with the share of each; sum 1.
+
+        Several effects together are fitted at few places. Where only one placement was, each of them is no surer of its
+        place than it is by itself.
+
+        Args:
+            effects: of explanations that are stated.
+        """
+        placed = self._placed(effects)
+        if len(effects) == 1 or len(placed) > 1:
+            return [(location, p * share) for found, p in placed for location, share in _shares(found)]
+        ((found, _),) = placed
+        result = []
+        for cause, (location, share) in zip(found.explanation.causes, _shares(found), strict=True):
+            alone = self._placed((cause.effect,)) if any(it.effects == (cause.effect,) for it in self.stated) else []
+            places = [(it.explanation.locations[0], p) for it, p in alone]
+            if location not in [place for place, _ in places]:
+                places = [(location, 1.0)]
+            result += [(place, share * p) for place, p in places]
+        return result
 
     def _classes(self, weights: FloatArray, given_library: FloatArray) -> tuple[EquivalentClass, ...]:
         """Explanations by their effects, those that the recordings do not distinguish together.

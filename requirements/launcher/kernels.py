@@ -11,10 +11,8 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
-import glob
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -23,7 +21,7 @@ from functools import partial
 from typing import Any
 
 from .environment import command_environment, prepend
-from .places import CAMPAIGNS, ROOT, SOURCE, STATE_FOLDER, VENV_PYTHON, WARM_UP, WORKSPACE
+from .places import ROOT, STATE_FOLDER, VENV_PYTHON, WARM_UP, WORKSPACE
 from .programs import StepRunner, end_group
 from .progress import Progress
 from .stamps import packages
@@ -41,7 +39,7 @@ PATIENT = ("test", "diagnose", "blind", "study", "benchmark")
 class KernelCompilation:
     """Compiles the numerical kernels of a first test into their cache; without it that test is slower.
 
-    Starts at once, beside whatever else runs, and throws away what an older set-up has cached.
+    Starts at once, beside whatever else runs. What an older set-up has cached is read where its formulas are the same.
 
     Args:
         state: source of ROS 2 and version of Python.
@@ -50,9 +48,6 @@ class KernelCompilation:
 
     def __init__(self, state: dict[str, Any], guard: int) -> None:
         end_later()
-        for source in (SOURCE, CAMPAIGNS):
-            for folder in glob.glob(os.path.join(source, "**", "__pycache__", "kernels-*"), recursive=True):
-                shutil.rmtree(folder, ignore_errors=True)
         self._state = state
         self._parts: list[tuple[StepRunner, subprocess.Popen[bytes]]] = []
         if os.path.isfile(WARM_UP):
@@ -99,7 +94,7 @@ def start_later(state: dict[str, Any]) -> None:
 
 
 def end_later() -> None:
-    """End the compilation in the background: its kernels are to be discarded."""
+    """End the compilation in the background: another begins."""
     with contextlib.suppress(OSError, ValueError), open(LATER_LOCK) as lock:
         for wanted in (signal.SIGTERM, signal.SIGKILL):
             if not _held(lock):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import json
 import os
 import subprocess
@@ -11,17 +10,20 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import FunctionType
+from typing import Any
 
 import pytest
 
-from nmt_core.numerics.kernels import formula_modules
+from nmt_core.numerics.kernels import formulas_digest
+from nmt_rig.model.element_kernels import _dispatch
+from nmt_rig.model.local_elements import ELEMENTS
 
 SOURCE = Path(__file__).resolve().parents[2] / "ros2_ws" / "src"
-ELEMENTS = SOURCE / "nmt_rig" / "nmt_rig" / "model" / "local_elements"
 OWN = SOURCE / "nmt_core" / "nmt_core" / "numerics" / "kernels.py"
 KERNEL = """\
 import sys
-from nmt_core.numerics.kernels import cache_folder, njit
+from nmt_core.numerics.kernels import njit
 from nmt_sample.middle import middle
 
 @njit(cache=True)
@@ -30,7 +32,7 @@ def kernel(x):
 
 if __name__ == "__main__":
     from nmt_sample import kernel as own
-    print(own.kernel(2.0), sum(own.kernel.stats.cache_hits.values()), cache_folder(own.kernel.py_func))
+    print(own.kernel(2.0), sum(own.kernel.stats.cache_hits.values()), own.kernel._cache.lock)
 """
 MIDDLE = """\
 from nmt_core.numerics.kernels import njit
@@ -86,7 +88,7 @@ class Sample:
         (self.folder / "nmt_sample" / f"{module}.py").write_text(text)
 
     def run(self, new_environment: bool = False) -> tuple[float, int, Path]:
-        """Value of the kernel at 2, how often it came from the cache, and where that is."""
+        """Value of the kernel at 2, how often it came from the cache, and the lock of its file there."""
         if new_environment:
             text = subprocess.run(
                 [sys.executable, "-m", "nmt_sample.kernel"], env=self.environment, cwd=self.folder, check=True,
@@ -101,10 +103,10 @@ class Sample:
             self._processes.stdin.flush()
             text = answer.read_text()
         try:
-            value, hits, folder = text.split()
+            value, hits, lock = text.split()
         except ValueError:
             pytest.fail(text)
-        return float(value), int(hits), Path(folder)
+        return float(value), int(hits), Path(lock)
 
 
 @pytest.fixture(scope="module")
@@ -123,16 +125,46 @@ def sample(tmp_path: Path, processes: subprocess.Popen[str]) -> Sample:
 
 def test_a_formula_or_a_constant_in_another_file_counts(sample: Sample) -> None:
     assert sample.run()[:2] == (21.0, 0)
-    value, hits, folder = sample.run()
+    value, hits, lock = sample.run()
     assert (value, hits) == (21.0, 1)
-    assert folder.parent == sample.folder / "nmt_sample" / "__pycache__"
+    assert lock.parent == sample.folder / "nmt_sample" / "__pycache__" / "kernels"
     sample.write("formulas", "def spring(x):\n    return x**3\n")
     assert sample.run()[:2] == (81.0, 0)
     sample.write("constants", "FACTOR = 1.0\n")
     assert sample.run()[:2] == (9.0, 0)
     sample.write("formulas", "def spring(x):\n    return x\n")
     sample.write("constants", "FACTOR = 10.0\n")
-    assert sample.run() == (21.0, 1, folder)
+    assert sample.run() == (21.0, 1, lock)
+
+
+def test_nothing_else_in_the_files_counts(sample: Sample) -> None:
+    """A comment, a docstring, another function, another class; nor that the files are newer, as in a new checkout."""
+    assert sample.run()[:2] == (21.0, 0)
+    sample.write("kernel", "# of the sample\n" + KERNEL.replace("def kernel(x):", "def kernel(x):  # compiled"))
+    sample.write("formulas", 'class Other:\n    pass\n\n\ndef spring(x):\n    """Force."""\n    return x\n')
+    sample.write("constants", "FACTOR = 10.0\nOTHER = 3.0\n")
+    for path in sample.folder.glob("nmt_sample/*.py"):
+        os.utime(path, (1e9, 1e9))
+    assert sample.run()[:2] == (21.0, 1)
+
+
+def test_the_order_of_the_fields_that_are_handed_over_counts(sample: Sample) -> None:
+    """To the compiler the class is its name and the types of its fields."""
+    call = "own.kernel(pair.Pair(a=2.0, b=3.0))"
+    text = KERNEL.replace("own.kernel(2.0)", call).replace("middle(x) + 1.0", "x.a - x.b")
+    sample.write("kernel", text.replace("import sys\n", "import sys\nfrom nmt_sample import pair\n"))
+    for order in ("ab", "ba"):
+        fields = "".join(f"    {name}: float\n" for name in order)
+        sample.write("pair", f"from typing import NamedTuple\n\nclass Pair(NamedTuple):\n{fields}")
+        assert sample.run()[:2] == (-1.0, 0)
+
+
+def test_of_many_versions_the_last_are_kept(sample: Sample) -> None:
+    for factor in range(6):
+        sample.write("constants", f"FACTOR = {factor}.0\n")
+        lock = sample.run()[2]
+    assert len([*lock.parent.glob("*.nbi")]) == len([*lock.parent.glob("*.nbc")]) == 4
+    assert sample.run()[:2] == (11.0, 1)
 
 
 def test_of_two_processes_one_compiles_and_the_other_waits(sample: Sample) -> None:
@@ -163,21 +195,34 @@ def test_a_package_behind_a_link_shares_the_cache(sample: Sample, tmp_path: Path
 
 def test_the_folder_of_the_environment_is_taken(sample: Sample, tmp_path: Path) -> None:
     sample.environment["NUMBA_CACHE_DIR"] = str(tmp_path / "kept")
-    assert sample.run(new_environment=True)[2].parent == tmp_path / "kept"
+    assert sample.run(new_environment=True)[2].parent == tmp_path / "kept" / "kernels"
     assert sample.run(new_environment=True)[1] == 1
     sample.write("formulas", "def spring(x):\n    return -x\n")
     assert sample.run(new_environment=True)[:2] == (-19.0, 0)
 
 
-def test_the_time_integration_is_keyed_by_every_local_element() -> None:
-    importlib.import_module("nmt_rig.model.integration_kernel")
-    elements = {f"nmt_rig.model.local_elements.{path.stem}" for path in ELEMENTS.glob("[a-z]*.py")}
-    assert len(elements) > 5
-    assert elements <= set(formula_modules("nmt_rig.model.integration_kernel"))
+@pytest.mark.parametrize("element", ELEMENTS, ids=lambda element: element.__name__)
+def test_the_formulas_of_every_local_element_count(element: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    for formula, arguments in (("response", "w, v"), ("margin", "branch, w, slider")):
+        if not hasattr(element, formula):
+            continue
+        before = formulas_digest(_dispatch(formula, arguments))
+        assert formulas_digest(_dispatch(formula, arguments)) == before
+        code = getattr(element, formula).__code__
+        other = FunctionType(code.replace(co_consts=(*code.co_consts, 0.123)), getattr(element, formula).__globals__)
+        monkeypatch.setattr(element, formula, staticmethod(other))
+        assert formulas_digest(_dispatch(formula, arguments)) != before
+
+
+def test_a_value_that_no_digest_can_be_made_of_is_named() -> None:
+    things = {"__name__": "nmt_odd", "odd": type("Odd", (), {"__module__": "nmt_odd"})()}
+    function = FunctionType(compile("def f():\n    return odd", "f", "exec").co_consts[0], things)
+    with pytest.raises(TypeError, match=r"f: odd: no digest can be made of .*Odd"):
+        formulas_digest(function)
 
 
 def test_every_kernel_of_the_bench_is_cached_so() -> None:
-    """Only one module asks numba itself; imports that the key would not follow do not stand beside kernels."""
+    """Only one module asks numba itself."""
     compiled = 0
     for path in sorted([*SOURCE.glob("*/nmt*/**/*.py"), *SOURCE.parents[1].glob("campaigns/*/nmt*/**/*.py")]):
         text = path.read_text(encoding="utf-8")
@@ -186,6 +231,5 @@ def test_every_kernel_of_the_bench_is_cached_so() -> None:
         compiled += 1
         for node in ast.walk(ast.parse(text)):
             if isinstance(node, ast.ImportFrom):
-                assert not node.level, f"{path}: a relative import"
                 assert node.module != "numba" or all(name.name != "njit" for name in node.names), path
     assert compiled > 20

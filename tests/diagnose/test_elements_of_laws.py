@@ -64,6 +64,8 @@ def term_of(form: LawForm) -> tuple[Term, float]:
     elif form.kind in ("slider", "bristle", "weakening bristle"):
         first, second = 0.15 * REACH, 0.5 * SPEED if form.kind.startswith("weak") else 0.0
         size = first
+    elif form.kind == "slack slider":
+        first, second, size = 0.25 * REACH, 0.4, 0.25 * 0.6 * REACH
     elif form.kind == "friction":
         first = 0.03 * SPEED
     else:

@@ -12,6 +12,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
 
+_SLACK_SHARES = (0.2, 0.4, 0.6, 0.8)  # of the slip displacement
 _CLOSED = (0.01, 0.8)  # of the samples of a record: what is closed along nearly all of it is no contact
 
 
@@ -105,6 +106,15 @@ def blocks_of_records(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
         members = [block for block in family if not block.contact or _opens(block.terms[0], x)]
         if members:
             found[name] = members
+    # Backlash in series with friction: one slider whose spring has a slack and then stiffens.
+    found["slack slider"] = [
+        Block(
+            "slack slider",
+            (Term("slider", slip), *(Term("slack slider", slip, share) for share in _SLACK_SHARES)),
+            (1,),
+        )
+        for slip in float(np.abs(x).max()) * np.geomspace(0.02, THRESHOLDS.law.largest_slip_share, 12)
+    ]
     # Samples show the way to full friction, which a few harmonics do not.
     found["weakening friction"] = [replace(block, refined=(1, 2)) for block in found["weakening friction"]]
     return found

@@ -189,7 +189,7 @@ class RecordSearch:
         m, size = law.fit.nuisance.size, acting.shape[2]
         every = np.concatenate([self.problem.nuisance, acting, *(slope[..., np.newaxis] for slope in slopes)], axis=2)
         every = every.reshape(-1, every.shape[2])
-        norms = np.maximum(np.linalg.norm(every, axis=0), 1e-300)
+        norms = np.maximum(np.linalg.norm(every, axis=0), 1e-150)
         normal = (every / norms).T @ (every / norms)
         normal[:m, :m] += np.diag(norms[:m] ** -2.0)
         every = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)[m : m + size, m : m + size]

@@ -14,7 +14,7 @@ from nmt_core.vocabulary import Quantity
 from nmt_diagnose.law.modal_frame import ORDERS
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
-from nmt_rig.model.local_elements.attachments import LuGre
+from nmt_rig.model.local_elements.attachments import LuGre, SlackSlider
 from nmt_rig.model.local_elements.dampers import LinearDamperSection
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.model.local_elements.springs import LinearSpringSection
@@ -33,12 +33,6 @@ _BESIDE = (
     LawForm(
         "stop damping", "stop", "damper where {beyond}", words="stop on one side", unit="N s/m",
         force=lambda x, v, gap, side: np.where(np.sign(side) * x > gap, v, 0.0), unwritten="damping in contact",
-    ),
-    # The spring before the slider has a slack of a share of its slip displacement: loops narrow about no force.
-    LawForm(
-        "slack slider", "slider", "spring that slips at {mm} mm, slack up to {last} of it", unit="N/m",
-        force=lambda x, v, slip, slack: _behind_slack(slider_force(x, slip), slack * slip),
-        words="friction with pinched loops", unwritten="the part of the friction with slack",
     ),
     LawForm(
         "weakening friction", "friction", "tanh(v / {size} m/s) exp(−(v / {last} m/s)²)", unit="N",
@@ -142,20 +136,17 @@ def force_of(element: Any, x: FloatArray, v: FloatArray) -> FloatArray:
     """Force of an element along one period of displacement (m) and velocity (m/s), on its closed loop, (…, n).
 
     Args:
-        element: sliders, contacts, bristles, or a ``response`` that takes arrays.
+        element: sliders, with slack too, contacts, bristles, or a ``response`` that takes arrays.
     """
     if isinstance(element, LuGre):
         return element.bristle_stiffness * bristle_force(x, element.sliding_force(v) / element.bristle_stiffness)
+    if isinstance(element, SlackSlider):
+        return element.force(slider_force(x, element.reach))
     if element.sliders:
         return np.asarray(sum(k * slider_force(x, slip / k) for k, slip in element.sliders))
     if element.contacts:
         return np.asarray(sum(side * k * np.maximum(side * x - gap, 0.0) for k, gap, side in element.contacts))
     return np.asarray(element.response(*element.values, x, v)[0])
-
-
-def _behind_slack(force: FloatArray, slack: float) -> FloatArray:
-    """What of a force a spring with a slack hands on."""
-    return np.asarray(force - np.clip(force, -slack, slack))
 
 
 def slider_force(x: FloatArray, slip: float) -> FloatArray:

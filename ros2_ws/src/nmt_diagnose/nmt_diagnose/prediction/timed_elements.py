@@ -1,4 +1,4 @@
-"""Local forces that only the stepping through a record predicts: bristles, and strengths that follow a channel.
+"""Local forces that only the stepping through a record predicts: bristles, slack, strengths that follow a channel.
 
 Each row is a force of unit strength with a memory of its own, times a strength at every step.
 """
@@ -14,7 +14,7 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_core.numerics.kernels import njit
 from nmt_rig.model.element_kernels import response
-from nmt_rig.model.local_elements.attachments import LuGre
+from nmt_rig.model.local_elements.attachments import LuGre, SlackSlider
 from nmt_rig.model.local_elements.element import (
     CONTACT_GAP,
     CONTACT_SIDE,
@@ -28,7 +28,7 @@ from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.structure import Structure
 
 # Kinds beside those of smooth elements, which are positive.
-BRISTLES, SLIDER, STOP = -1, -2, -3
+BRISTLES, SLIDER, STOP, SLACKED = -1, -2, -3, -4
 _PARAMETERS = 6
 
 _moved = njit(Jenkins.moved)
@@ -141,6 +141,13 @@ def timed_rows(section: ElementSection, structure: Structure) -> list[TimedRow]:
             TimedRow(BRISTLES, parameters, section.modulation, **following, stiffness=stiffness, damping=damping,
                      friction=True)
         ]  # fmt: skip
+    if section.element is SlackSlider:
+        slack = SlackSlider(np.ones(1), *kept.own_values())
+        parameters = (slack.stiffness, slack.reach, slack.slack)
+        return [
+            TimedRow(SLACKED, parameters, section.modulation, **following, stiffness=slack.resting_stiffness,
+                     friction=True)
+        ]  # fmt: skip
     if not section.modulated_by:
         return []
     following["floor"] = -section.modulation
@@ -209,6 +216,13 @@ def timed_force(
         force, stiffness, after[e, 0] = _moved(
             parameters[e, SLIDER_STIFFNESS], parameters[e, SLIDER_SLIP], w, before[e, 0]
         )
+    elif kinds[e] == SLACKED:
+        z, _, after[e, 0] = _moved(1.0, parameters[e, 1], w, before[e, 0])
+        side = 1.0 if z > 0.0 else -1.0
+        overlap = side * z - parameters[e, 2]
+        if overlap > 0.0:
+            force = side * parameters[e, 0] * overlap
+            stiffness = parameters[e, 0] if abs(z) < parameters[e, 1] else 0.0
     elif kinds[e] == STOP:
         side = parameters[e, CONTACT_SIDE]
         overlap = side * w - parameters[e, CONTACT_GAP]

@@ -1,4 +1,4 @@
-"""Forces that depend on two observed quantities: varying force factor, Bouc-Wen and LuGre friction.
+"""Forces that depend on two observed quantities: varying force factor, Bouc-Wen and LuGre friction, slack sliders.
 
 A coupling enters the system as M q̈ + C q̇ + K q + column · f(y₁, y₂) = b · input. What it observes are rows of
 displacements and velocities. Friction with an internal state keeps it as an unknown of the system without inertia.
@@ -16,6 +16,8 @@ from nmt_rig.model.structure import Array
 FORCE_FACTOR = 1
 BOUC_WEN = 2
 LUGRE = 3
+YIELD = 4
+SLACK = 5
 COUPLING_PARAMETERS = 4
 
 
@@ -24,7 +26,8 @@ class Coupling:
     """One force of two arguments.
 
     Attributes:
-        kind: FORCE_FACTOR: `force_factor`; BOUC_WEN: `bouc_wen` of (v, z); LUGRE: `lugre` of (v, z).
+        kind: FORCE_FACTOR: `force_factor`; BOUC_WEN: `bouc_wen` of (v, z); LUGRE: `lugre` of (v, z);
+            YIELD: `yielding` of (v, z); SLACK: `slack` of z.
         column: (n,) rows of the system it acts on.
         displacement_rows, velocity_rows: (2, n) y = displacement_rows · q + velocity_rows · q̇.
         parameters: (COUPLING_PARAMETERS,) in the order of the formula, zeros behind.
@@ -79,6 +82,29 @@ def lugre(stiffness: float, coulomb: float, static: float, stribeck: float, v: f
     return f, by_v, stiffness * abs(v) / level
 
 
+_YIELDS_OVER = 0.01  # of the reach: a rate that jumped would have no tangent
+
+
+@njit(cache=True, forceinline=True)
+def yielding(reach: float, v: float, z: float) -> Slopes:
+    """v where z is at its reach and v would take it further, 0 else; a straight line over the last percent."""
+    side = 1.0 if v > 0.0 else -1.0
+    share = (side * z / reach - 1.0) / _YIELDS_OVER + 1.0
+    if share <= 0.0:
+        return 0.0, 0.0, 0.0
+    return v * share, share, v * side / (_YIELDS_OVER * reach)
+
+
+@njit(cache=True, forceinline=True)
+def slack(stiffness: float, gap: float, z: float) -> Slopes:
+    """k (z ∓ g) beyond ±g with k, g."""
+    side = 1.0 if z > 0.0 else -1.0
+    beyond = side * z - gap
+    if beyond <= 0.0:
+        return 0.0, 0.0, 0.0
+    return side * stiffness * beyond, stiffness, 0.0
+
+
 @njit(cache=True)
 def coupling_response(kind: int, p: Array, first: float, second: float) -> Slopes:
     """f, ∂f/∂y₁ and ∂f/∂y₂ of one coupling.
@@ -95,4 +121,8 @@ def coupling_response(kind: int, p: Array, first: float, second: float) -> Slope
         result = bouc_wen(p[0], p[1], p[2], first, second)
     elif kind == LUGRE:
         result = lugre(p[0], p[1], p[2], p[3], first, second)
+    elif kind == YIELD:
+        result = yielding(p[0], first, second)
+    elif kind == SLACK:
+        result = slack(p[0], p[1], first)
     return result

@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from nmt_rig.model.couplings import BOUC_WEN, LUGRE, Coupling, coupling_parameters
+from nmt_rig.model.couplings import BOUC_WEN, LUGRE, SLACK, YIELD, Coupling, coupling_parameters
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements.contacts import BacklashDamper
 from nmt_rig.model.local_elements.element import ElementSection, LocalElement
@@ -245,6 +245,75 @@ class LuGreSection(AttachmentSection):
         return self
 
 
+@dataclass(frozen=True)
+class SlackSlider(Attachment):
+    """Spring k with a slack g in series with a slider of slip force F: k (z ∓ g) beyond ±g, |z| up to g + F / k.
+
+    z is the deflection behind the slider. Loops narrow to no force where the slack is crossed.
+    """
+
+    stiffness: float
+    slip_force: float
+    slack: float
+
+    @property
+    def first_order(self) -> int:
+        """The deflection z."""
+        return 1
+
+    @property
+    def reach(self) -> float:
+        """Largest z, m."""
+        return self.slack + self.slip_force / self.stiffness
+
+    def matrices(self) -> tuple[Array, Array, Array]:
+        """Linear part: ż = v."""
+        mass, damping, stiffness = self._zeros()
+        damping[1, 1], damping[1, 0] = 1.0, -1.0
+        return mass, damping, stiffness
+
+    def couplings(self) -> tuple[Coupling, ...]:
+        """The slip in the rate of z, and the force of the spring on w."""
+        still = np.zeros((2, 2))
+        of_state = np.array([[0.0, 1.0], [0.0, 0.0]])
+        return (
+            Coupling(YIELD, np.array([0.0, 1.0]), *_velocity_and_state(), coupling_parameters(self.reach)),
+            Coupling(SLACK, np.array([1.0, 0.0]), of_state, still, coupling_parameters(self.stiffness, self.slack)),
+        )
+
+    def force(self, z: Array) -> Array:
+        """Force at a deflection, N."""
+        return np.asarray(self.stiffness * np.sign(z) * np.maximum(np.abs(z) - self.slack, 0.0))
+
+    @property
+    def resting_stiffness(self) -> float:
+        """k where there is no slack, N/m."""
+        return 0.0 if self.slack else self.stiffness
+
+
+class SlackSliderSection(AttachmentSection):
+    """k (z ∓ g) beyond ±g, where a slider takes what the deflection z has beyond g + F / k: friction with backlash.
+
+    Attributes:
+        tangential_stiffness_n_m: k, beyond the slack
+        slip_force_n: F, force at which it slips
+        slack_m: g, free play to each side
+    """
+
+    kind: Literal["slack_slider"]
+    tangential_stiffness_n_m: Positive
+    slip_force_n: Positive
+    slack_m: NotNegative
+    element: ClassVar = SlackSlider
+    without_law: ClassVar = ""
+    law: ClassVar = (
+        LawForm(
+            "slack slider", "slider", "spring that slips at {mm} mm, slack up to {last} of it",
+            lambda c, slip, share: (c, c * slip * (1.0 - share), slip * share), "friction with pinched loops",
+        ),
+    )  # fmt: skip
+
+
 def _velocity_and_state() -> tuple[Array, Array]:
     """Rows of (v, z) over [w, z]: displacements, velocities."""
     return np.array([[0.0, 0.0], [0.0, 1.0]]), np.array([[1.0, 0.0], [0.0, 0.0]])
@@ -423,5 +492,10 @@ class RattlingMassSection(AttachmentSection):
 
 
 AnyAttachment = (
-    BoucWenSection | LuGreSection | FractionalDamperSection | TunedMassQuadraticSection | RattlingMassSection
+    BoucWenSection
+    | LuGreSection
+    | SlackSliderSection
+    | FractionalDamperSection
+    | TunedMassQuadraticSection
+    | RattlingMassSection
 )

@@ -3,7 +3,7 @@
 Run from the root of the repository in ``./nmt shell``::
 
     PYTHONPATH=tests python -m independent.real_laws earthquakes FOLDER   # sines and earthquakes as JSON, see below
-    PYTHONPATH=tests python -m independent.real_laws drive FOLDER         # s50.csv and s200.csv
+    PYTHONPATH=tests python -m independent.real_laws drive FOLDER         # steady speeds, see below
     PYTHONPATH=tests python -m independent.real_laws damper FOLDER        # test_*.csv at three currents
 
 Each record is imported as its owner would, with a model of a mass of no weight; the law is read by the diagnosis, goes
@@ -13,7 +13,8 @@ what plain elements leave that are fitted by this file to the same records.
 
 FOLDER of the earthquakes is ``data/dataset-3`` of github.com/ARTS-Laboratory/Dataset-Friction-Damper-with-Backlash
 (CC BY-SA 4.0): sines read the law, earthquakes are predicted. The MR damper is labcontrol-data/mr-damper (MIT), the
-drive RViMLab/TRO2021-Dynamic-Modelling (MIT).
+drive ``experiments/driveNo1/steady_state/0.096kg`` of RViMLab/TRO2021-Dynamic-Modelling (MIT): every other speed is
+read.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ Array = np.ndarray
 _INCH, _KIP = 0.0254, 4448.22
 _DECIMATED = 8  # samples that are averaged
 _ROWS = 2500
+_AT_REST = 0.02  # of the range of a motion that has not begun
+_HELD, _NOMINAL = 120, 9.84e-3  # samples of each speed; torque that the drive's percents count from, N m
 
 
 @dataclass(frozen=True)
@@ -55,14 +58,12 @@ class Record:
     quantity: str = "displacement"
 
 
-def model(folder: Path, rate: float, mass: float, damper: float, quantity: str) -> Rig:
+def model(folder: Path, rate: float, mass: float, quantity: str) -> Rig:
     """Rig file of a mass that is moved."""
     kind = {"displacement": "displacement", "angular_velocity": "velocity"}[quantity]
     text = {
         "name": "moved", "sample_rate_hz": rate,
-        "structure": {
-            "kind": "chain", "masses_kg": [mass], "ground_springs_n_m": [0.0], "ground_dampers_ns_m": [damper],
-        },
+        "structure": {"kind": "chain", "masses_kg": [mass], "ground_springs_n_m": [0.0]},
         "exciter": {"kind": "force", "point": 1},
         "sensors": [{"quantity": "force", "point": "drive"}, {"quantity": kind, "point": 1}],
         "extraction": {"quantity": kind, "linear_modes": 1},
@@ -91,12 +92,15 @@ def imported(folder: Path, record: Record, number: int) -> Path:
 
 
 def read_and_predict(
-    known: Sequence[Record], unknown: Sequence[Record], mass: float, damper: float = 0.0
+    known: Sequence[Record], unknown: Sequence[Record], mass: float, parts: Sequence[int] = ()
 ) -> tuple[LawReading | None, list[float], float]:
-    """The law of some records, what its file leaves of the force of others (share), and CPU seconds of the reading."""
+    """The law of some records, what its file leaves of the force of others (share), and CPU seconds of the reading.
+
+    Where lengths of parts are stated, of the means of these parts.
+    """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        rig = model(folder, known[0].rate, mass, damper, known[0].quantity)
+        rig = model(folder, known[0].rate, mass, known[0].quantity)
         bags = [imported(folder, record, number) for number, record in enumerate(known)]
         observations = observed(rig, bags)
         begin = time.process_time()
@@ -107,12 +111,15 @@ def read_and_predict(
         for number, record in enumerate(unknown, len(known)):
             found = MovedRecord.of(rig, observed(rig, [imported(folder, record, number)]), 0, 10, _ROWS)
             assert found is not None
-            rest = np.concatenate(found.left_by(written))
-            left.append(float(np.std(rest) / np.std(found.measured)))
+            kept, force = np.concatenate(found.left_by(written)), found.measured
+            if parts:
+                at = np.cumsum(parts)[:-1] * force.size // sum(parts)
+                kept, force = (np.array([part.mean() for part in np.split(some, at)]) for some in (kept, force))
+            left.append(float(np.std(kept) / np.std(force)))
     return reading, left, seconds
 
 
-def said(reading: LawReading | None) -> str:
+def families_in_words(reading: LawReading | None) -> str:
     """Families of a reading, or why there is none."""
     if reading is None:
         return "no reading"
@@ -184,28 +191,36 @@ def earthquakes(folder: Path) -> None:
     reading, left, seconds = read_and_predict(known, unknown, 1.0)
     starts = (2e-3, 8e-3)
     sliders = fitted(known, unknown, lambda one, slips: [play(one.motion, slip) for slip in slips], starts)
-    print(f"{len(known)} sines: {said(reading)}; {seconds:.1f} s")
+    print(f"{len(known)} sines: {families_in_words(reading)}; {seconds:.1f} s")
     for record_, law, two in zip(unknown, left, sliders, strict=True):
         print(f"{record_.name}: law {100 * law:.1f} %, two sliders {100 * two:.1f} %")
     print(f"mean: law {100 * np.mean(left):.1f} %, two sliders {100 * np.mean(sliders):.1f} %")
 
 
 def drive(folder: Path) -> None:
-    def records(parity: int) -> list[Record]:
-        found = []
-        for name in ("s50", "s200"):
-            data = table_of(folder / f"{name}.csv")
-            rate = 1.0 / float(np.diff(data[:, 0]).mean())
-            half = slice(0, len(data) // 2) if parity == 0 else slice(len(data) // 2, None)
-            found.append(Record(f"{name} half {parity + 1}", rate, data[half, 1], data[half, 2], "angular_velocity"))
-        return found
+    """One record of speeds one after the other, from the slowest on; the curve over speed is the mean at each."""
 
+    def speeds(path: Path) -> tuple[float, Array]:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        first = next(k for k, line in enumerate(lines) if line.startswith("ms;")) + 1
+        rows = [list(map(float, line.split(";"))) for line in lines[first : first + _HELD] if line.count(";") == 2]
+        table = np.array(rows) * (1.0, -np.pi / 30.0, -_NOMINAL / 100.0)
+        return float(table[:, 1].mean()), table
+
+    tables = sorted((speeds(path) for path in folder.glob("*.csv")), key=lambda one: one[0])
     for parity in (0, 1):
-        known, unknown = records(parity), records(1 - parity)
-        reading, left, seconds = read_and_predict(known, unknown, 2.2e-6)
-        print(f"half {parity + 1}: {said(reading)}; {seconds:.1f} s")
-        for record, law in zip(unknown, left, strict=True):
-            print(f"  {record.name}: law {100 * law:.1f} % of the torque left")
+        known, unknown = ([table for _, table in tables[start::2]] for start in (parity, 1 - parity))
+        rate = 1000.0 / float(np.median(np.diff(tables[0][1][:, 0])))
+
+        def joined(some: Sequence[Array], name: str, rate: float = rate) -> Record:
+            all_rows = np.vstack(some)
+            return Record(name, rate, all_rows[:, 1], all_rows[:, 2], "angular_velocity")
+
+        reading, left, seconds = read_and_predict(
+            [joined(known, "known")], [joined(unknown, "unknown")], 2.2e-6, [len(table) for table in unknown]
+        )
+        what = f"{len(known)} speeds: {families_in_words(reading)}; {seconds:.1f} s"
+        print(f"{what}; {100 * left[0]:.1f} % of the curve left at the other {len(unknown)}")
 
 
 def damper(folder: Path) -> None:
@@ -214,6 +229,8 @@ def damper(folder: Path) -> None:
         records = []
         for name in names.split():
             data = table_of(folder / f"test_{name}.csv")
+            moves = np.flatnonzero(np.abs(data[:, 1] - data[0, 1]) > _AT_REST * np.ptp(data[:, 1]))
+            data = data[moves[0] : moves[-1] + 1]
             records.append(Record(name, 100.0, 1e-3 * data[:, 1], data[:, 2]))
         laws, plain = [], []
         for number, out in enumerate(records):
@@ -223,7 +240,7 @@ def damper(folder: Path) -> None:
             laws += left
             plain += dahls
             print(f"{current} {out.name}: law {100 * left[0]:.1f} %, Dahl {100 * dahls[0]:.1f} %; "
-                  f"{said(reading)}; {seconds:.1f} s")  # fmt: skip
+                  f"{families_in_words(reading)}; {seconds:.1f} s")  # fmt: skip
         ratios.append(float(np.mean(laws) / np.mean(plain)))
         print(f"{current}: law {100 * np.mean(laws):.1f} %, Dahl {100 * np.mean(plain):.1f} %, ratio {ratios[-1]:.2f}")
 

@@ -38,6 +38,7 @@ _LOOP = 0.10
 
 SLIDER = "friction of a slider behind a spring"
 DRY, WEAK = "dry friction", "dry friction that weakens with speed"
+BACKLASH = "friction with pinched loops"
 DRAG, CLEARANCE, STOP, HARD = "damping that grows with speed", "clearance", "stop on one side", "hardening spring"
 
 
@@ -72,6 +73,11 @@ def yielding(x: Array, slip: float) -> Array:
     return play(x, slip) / slip
 
 
+def backlash(x: Array, slip: float, share: float) -> Array:
+    """Share of its limit that a slider has whose spring is slack up to a share of its way."""
+    return dead(play(x, slip), share * slip) / (slip * (1.0 - share))
+
+
 def dahl(x: Array, v: Array, reach: float) -> Array:
     """Share of their limit that bristles have."""
     return bristles(x, v, np.full_like(x, reach)) / reach
@@ -97,6 +103,7 @@ Shape = Callable[[Array, Array, float, float, float], Array]
 LIBRARY: dict[str, tuple[tuple[str, ...], Shape]] = {
     "friction": ((DRY,), lambda x, v, a, s, r: np.tanh(v / (s * (0.003 + 0.017 * r)))),
     "slider": ((SLIDER,), lambda x, v, a, s, r: yielding(x, a * (0.03 + 0.25 * r))),
+    "backlash": ((BACKLASH,), lambda x, v, a, s, r: backlash(x, a * (0.05 + 0.2 * r), 0.3 + 0.4 * r)),
     "dahl": ((SLIDER,), lambda x, v, a, s, r: dahl(x, v, a * (0.03 + 0.17 * r))),
     "drag": ((DRAG,), lambda x, v, a, s, r: v * np.abs(v) / s**2),
     "cubic": ((HARD,), lambda x, v, a, s, r: (x / a) ** 3),

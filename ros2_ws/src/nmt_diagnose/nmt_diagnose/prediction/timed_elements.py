@@ -30,6 +30,8 @@ from nmt_rig.model.structure import Structure
 # Kinds beside those of smooth elements, which are positive.
 BRISTLES, SLIDER, STOP, SLACKED = -1, -2, -3, -4
 _PARAMETERS = 6
+# Columns of a slider with slack.
+SLACKED_STIFFNESS, SLACKED_REACH, SLACKED_GAP = 0, 1, 2
 
 _moved = njit(Jenkins.moved)
 
@@ -217,12 +219,13 @@ def timed_force(
             parameters[e, SLIDER_STIFFNESS], parameters[e, SLIDER_SLIP], w, before[e, 0]
         )
     elif kinds[e] == SLACKED:
-        z, _, after[e, 0] = _moved(1.0, parameters[e, 1], w, before[e, 0])
+        k, reach = parameters[e, SLACKED_STIFFNESS], parameters[e, SLACKED_REACH]
+        z, _, after[e, 0] = _moved(1.0, reach, w, before[e, 0])
         side = 1.0 if z > 0.0 else -1.0
-        overlap = side * z - parameters[e, 2]
+        overlap = side * z - parameters[e, SLACKED_GAP]
         if overlap > 0.0:
-            force = side * parameters[e, 0] * overlap
-            stiffness = parameters[e, 0] if abs(z) < parameters[e, 1] else 0.0
+            force = side * k * overlap
+            stiffness = k if abs(z) < reach else 0.0
     elif kinds[e] == STOP:
         side = parameters[e, CONTACT_SIDE]
         overlap = side * w - parameters[e, CONTACT_GAP]

@@ -43,19 +43,29 @@ _held: set[Path] = set()
 
 
 def njit(*function: Any, **options: Any) -> Any:
-    """``numba.njit``, whose ``cache=True`` is keyed by the formulas; without a folder to write to nothing is cached."""
-    if not options.pop("cache", False):
-        return numba.njit(*function, **options)
+    """``numba.njit``, whose ``cache=True`` is keyed by the formulas; without a folder to write to nothing is cached.
+
+    A constant that is handed over makes no version of the function of its own: numba would compile one for each -1,
+    True and False beside that for any number.
+    """
+    cached = options.pop("cache", False)
 
     def compiled(python_function: Any) -> Any:
         dispatcher = numba.njit(**options)(python_function)
-        folder = cache_folder(python_function)
+        compile_here = dispatcher.compile
+        dispatcher.compile = lambda signature: compile_here(_without_constants(signature))
+        folder = cache_folder(python_function) if cached else None
         if folder is not None:
             dispatcher._cache = _KeyedCache(dispatcher, folder)
             _compile_in_one_process(dispatcher)
         return dispatcher
 
     return compiled(*function) if function else compiled
+
+
+def _without_constants(signature: Any) -> Any:
+    """Types of a call without the values of those that are constant; a signature that is written out stays."""
+    return tuple(map(numba.types.unliteral, signature)) if isinstance(signature, tuple) else signature
 
 
 def loop_step(function: Any) -> Any:

@@ -106,6 +106,24 @@ def test_terms_side_by_side_are_told_apart(tmp_path: Path, words: str) -> None:
     assert min(reading.closed_inside, reading.closed_above) > 0.95
 
 
+def test_laws_that_one_narrow_sine_does_not_tell_apart_are_named_with_a_motion_that_does(tmp_path: Path) -> None:
+    turn = 2.0 * np.pi * 1.3 * TIME
+    size = 0.012 * (1.0 + 0.01 * np.sin(0.3 * TIME))
+    x, v, a = size * np.sin(turn), size * 8.168 * np.cos(turn), -size * 8.168**2 * np.sin(turn)
+    random = np.random.default_rng(1)
+    force = 2e-3 * a + 0.05 * v + 12.0 * x + 4e5 * x**3 + 0.03 * random.standard_normal(TIME.size)
+    rig = rig_of(tmp_path, TEXT)
+    columns = {"displacement 1": x + 1e-6 * random.standard_normal(TIME.size), "force 1": force}
+    bag = bag_of(tmp_path, RATE, columns, record(TIME.size, held="response"), TEXT)
+    reading = law_of(rig, read_observations([bag], rig))
+    assert reading is not None
+    (law,) = reading.laws
+    assert "hardening spring" in (law.family, *law.other_families)
+    assert law.other_families
+    assert law.parted_by.startswith("twice the displacement")
+    assert f"record a motion of {law.parted_by}" in " ".join(law_sentences(reading, True))
+
+
 FOLLOWED = {
     "friction": ("current", "A", 0.8 + 0.6 * np.sin(0.8 * TIME), np.tanh(V / 2e-3), (0.05, 0.12)),
     "falling friction": ("current", "A", 0.8 + 0.6 * np.sin(0.8 * TIME), np.tanh(V / 2e-3), (0.2, -0.1)),

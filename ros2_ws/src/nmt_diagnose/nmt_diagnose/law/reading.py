@@ -66,6 +66,7 @@ class LocalLaw:
         loops: force over displacement and velocity, level by level.
         other_families: families that do nearly as well at its place and do not have its terms among theirs.
         valid_between: channels that its strengths follow, with the smallest and the largest value that was visited.
+        parted_by: motion at which those other families differ most from it, in words; empty = none is known.
     """
 
     point: int
@@ -77,6 +78,7 @@ class LocalLaw:
     loops: tuple[ForceLoop, ...]
     other_families: tuple[str, ...] = ()
     valid_between: tuple[tuple[str, float, float], ...] = ()
+    parted_by: str = ""
 
     @property
     def at_middle(self) -> tuple[LawTerm, ...]:

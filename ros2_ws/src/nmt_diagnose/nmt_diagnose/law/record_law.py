@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_elements import with_laws
 from nmt_diagnose.law.law_words import family
@@ -27,6 +28,11 @@ from nmt_rig.rig import Rig
 _DRAWN = 60  # points of a stretch
 _LINE = 1500  # points of its line
 _NAMED = 3  # families that do nearly as well
+# Motions that may part laws: times the displacement, and times the speed along it.
+_PARTING = {
+    "twice the displacement": (2.0, 1.0), "half of the displacement": (0.5, 1.0), "twice the speed": (1.0, 2.0),
+    "half of the speed": (1.0, 0.5),
+}  # fmt: skip
 
 
 def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
@@ -91,18 +97,42 @@ def _law(search: RecordSearch, best: RecordLaw, tried: Sequence[RecordLaw]) -> L
     records = search.records
     terms = _law_terms(best, search.covariance(best))
     words = words_of(records, best)
-    others = {
-        words_of(records, law): None
-        for law in tried
-        if nearly_as_well(law.score, best.score) and len(law.blocks) <= len(best.blocks)
-    }
+    others: dict[str, RecordLaw] = {}
+    for law in tried:
+        if nearly_as_well(law.score, best.score) and len(law.blocks) <= len(best.blocks):
+            others.setdefault(words_of(records, law), law)
     others.pop(words, None)
+    alike = list(others.items())[:_NAMED]
     largest = float(np.abs(records.x).max())
     channels = dict.fromkeys(term.by for term in terms if term.by)
     between = tuple((channel, *records.range_of(channel)) for channel in channels)
     return LocalLaw(
-        records.point, 0, words, terms, largest, (), _loops(records, best), tuple(others)[:_NAMED], between
+        records.point, 0, words, terms, largest, (), _loops(records, best), tuple(other for other, _ in alike), between,
+        parting_motion(records, best, [law for _, law in alike]),
     )  # fmt: skip
+
+
+def parting_motion(records: MovedRecords, best: RecordLaw, others: Sequence[RecordLaw]) -> str:
+    """The motion at which another law differs most from the best, with the difference there and here; or nothing.
+
+    A difference is the rms between the force of the best law and of the other, without means, over that of the best.
+    """
+    laws = [best, *others]
+    if not others or any(term.by for law in laws for term, _ in law.terms):
+        return ""
+
+    def apart(size: float, rate: float) -> float:
+        parts = []
+        for record in records.records:
+            x, v = size * record.x, size * rate * record.v
+            forces = [sum((c * term.force(x, v)[0] for term, c in law.terms), np.zeros(x.shape[1])) for law in laws]
+            parts.append([float(np.std(force - forces[0])) for force in forces[1:]] + [float(np.std(forces[0]))])
+        *gaps, of_best = np.linalg.norm(parts, axis=0)
+        return float(max(gaps) / of_best)
+
+    name, most = max(((name, apart(*scales)) for name, scales in _PARTING.items()), key=lambda one: one[1])
+    here = apart(1.0, 1.0)
+    return f"{name}: there they differ by up to {percent(most)}, here by {percent(here)}" if most > here else ""
 
 
 def _law_terms(best: RecordLaw, covariance: FloatArray) -> tuple[LawTerm, ...]:

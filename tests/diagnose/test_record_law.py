@@ -121,7 +121,9 @@ def test_laws_that_one_narrow_sine_does_not_tell_apart_are_named_with_a_motion_t
     assert "hardening spring" in (law.family, *law.other_families)
     assert law.other_families
     assert law.parted_by.startswith("twice the displacement")
-    assert f"record a motion of {law.parted_by}" in " ".join(law_sentences(reading, True))
+    assert f"record a motion of {law.parted_by}. Check first that the specimen" in " ".join(
+        law_sentences(reading, True)
+    )
 
 
 FOLLOWED = {

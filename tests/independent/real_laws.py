@@ -177,10 +177,13 @@ def speed(record: Record) -> Array:
 
 
 def table_of(path: Path) -> Array:
+    """Rows of a file with a heading: time (s), displacement (mm), force (N)."""
     return np.loadtxt(path, delimiter=",", skiprows=1)
 
 
 def earthquakes(folder: Path) -> None:
+    """Print what the law of the sines leaves of the force under each earthquake, beside two sliders."""
+
     def record(path: Path) -> Record:
         data = np.array(json.loads(path.read_text(encoding="utf-8"))["data"], float)
         data = data[: len(data) // _DECIMATED * _DECIMATED].reshape(-1, _DECIMATED, data.shape[1]).mean(axis=1)
@@ -224,6 +227,7 @@ def drive(folder: Path) -> None:
 
 
 def damper(folder: Path) -> None:
+    """Print for each current what the law of the other records leaves of each, beside Dahl's element."""
     ratios = []
     for current, names in (("weak", "1_1 4_1 7_1"), ("middle", "B_1 B_6 B_9"), ("strong", "A_1 A_4 A_7 A_9")):
         records = []

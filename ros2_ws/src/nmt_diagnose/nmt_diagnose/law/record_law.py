@@ -132,7 +132,9 @@ def parting_motion(records: MovedRecords, best: RecordLaw, others: Sequence[Reco
 
     name, most = max(((name, apart(*scales)) for name, scales in _PARTING.items()), key=lambda one: one[1])
     here = apart(1.0, 1.0)
-    return f"{name}: there they differ by up to {percent(most)}, here by {percent(here)}" if most > here else ""
+    if most <= here or percent(most) == percent(here):
+        return ""
+    return f"{name}: there they differ by up to {percent(most)}, here by {percent(here)}"
 
 
 def _law_terms(best: RecordLaw, covariance: FloatArray) -> tuple[LawTerm, ...]:

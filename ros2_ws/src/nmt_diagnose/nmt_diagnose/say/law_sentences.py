@@ -33,7 +33,9 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
             families = " or ".join(law.other_families)
             result.append(f"At {_where(law)} {families} would do nearly as well.")
             if law.parted_by:
-                result.append(f"To part them, record a motion of {law.parted_by}.")
+                result.append(
+                    f"To part them, record a motion of {law.parted_by}. Check first that the specimen bears it."
+                )
     result += [sentence for law in reading.laws for sentence in _following(law)]
     if not reading.is_written:
         result.append(

@@ -95,10 +95,17 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "StructureSection": {
         "added_masses": "masses fixed to points",
+        "oscillators": "masses on springs at points, each one more degree of freedom",
         "damping_factors": "factors on the damping ratios of the undamped modes of the structure with its masses, "
         "lowest first; the last one holds for all above",
         "loss_factor": "η of hysteretic damping K (1 + iη), as ζ = η / 2 of every undamped mode of the structure with "
         "its masses",
+    },
+    "OscillatorSection": {
+        "point": "that carries it",
+        "mass_kg": "m",
+        "frequency_hz": "√(k/m) / 2π, the point held",
+        "damping_ratio": "c / (2 √(k m))",
     },
     "AddedMassSection": {
         "point": "where it is",

@@ -7,6 +7,7 @@ to the prediction, which has to find the frequency and all harmonics of all chan
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,11 +18,11 @@ from scipy.linalg import eigvalsh
 
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import ALIKE_AT_EVERY_LEVEL, candidates, library
-from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.operating_range import LackingMode, OperatingRange
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
-from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.prediction.operating_range import operating_range, receptances
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_structure
@@ -80,6 +81,8 @@ WITHOUT_FRICTION = {
 }
 # What no steady state of a channel shows: means over windows of a line of unknown phase, and the loop's own settings.
 ELSEWHERE = {"mains_hum", "phase_offset", "loop_latency"}
+# A resonance that the chain lacks: m, f and ζ of a mass beside the model's, and of a part of it.
+LACKING_HZ, OSCILLATORS = 37.0, {"": (4.0, 0.05, 1.5), "of the model's mass": (6.0, -0.05, 1.5)}
 CHAIN_DRIVE, CHAIN_HZ = 2.0, 25.0
 BEAM_DRIVE, BEAM_HZ = 1.0, 20.0
 SETTINGS = PredictionSettings(mesh_refinement=1, harmonics=11)
@@ -165,6 +168,18 @@ def test_a_joint_in_a_model_without_friction(label):
     compare(changed, "x1", CHAIN_DRIVE, CHAIN_HZ, 3.0, 2e-4)
 
 
+@pytest.mark.parametrize("form", OSCILLATORS)
+def test_a_mode_that_the_chain_lacks(form):
+    rig, operating = surroundings("chain")
+    pole = 2.0 * np.pi * LACKING_HZ * (1j - 0.01)
+    lacking = LackingMode(pole, (15.0, 60.0), receptances(rig, pole, ideal_force=False))
+    found = candidates(rig, replace(operating, lacking=(lacking,)))
+    (candidate,) = (c for c in found if c.label == "missing_mode@2" and c.effect.form == form)
+    changed = Parametrisation(rig, (), (candidate,)).rig(np.array(OSCILLATORS[form]))
+    assert changed.structure.oscillators[0].mass_kg > 0.0
+    compare(changed, "x1", CHAIN_DRIVE, CHAIN_HZ, 3.0, 2e-4)
+
+
 def structure_stiffness(rig: Rig) -> np.ndarray:
     """Stiffness at rest, elements included."""
     structure = build_structure(rig)
@@ -186,7 +201,7 @@ def test_air_gives_no_more_drag_than_its_density_and_the_area_allow():
 
 
 def test_every_effect_is_compared():
-    compared = {label.partition("@")[0] for label in (*ON_THE_CHAIN, *ON_THE_BEAM)}
+    compared = {label.partition("@")[0] for label in (*ON_THE_CHAIN, *ON_THE_BEAM)} | {"missing_mode"}
     assert compared | ELSEWHERE == {effect.name for effect in library()}
 
 

@@ -49,6 +49,7 @@ from nmt_rig.structure_sections import MatricesSection as MatricesSection
 from nmt_rig.structure_sections import MatrixPointSection as MatrixPointSection
 from nmt_rig.structure_sections import ModalSection as ModalSection
 from nmt_rig.structure_sections import ModeSection as ModeSection
+from nmt_rig.structure_sections import OscillatorSection as OscillatorSection
 from nmt_rig.structure_sections import ResidualSection as ResidualSection
 from nmt_rig.structure_sections import StructureSection as StructureSection
 from nmt_rig.structure_sections import point_words
@@ -67,6 +68,8 @@ def _points_used(rig: Rig) -> Iterator[tuple[KeyPath, int]]:
             yield ("local_elements", index, "other_point"), element.other_point
     for index, mass in enumerate(rig.structure.added_masses):
         yield ("structure", "added_masses", index, "point"), mass.point
+    for index, oscillator in enumerate(rig.structure.oscillators):
+        yield ("structure", "oscillators", index, "point"), oscillator.point
     for index, sensor in enumerate(rig.sensors):
         if isinstance(sensor.point, int):
             yield ("sensors", index, "point"), sensor.point

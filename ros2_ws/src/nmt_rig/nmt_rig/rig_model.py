@@ -22,24 +22,32 @@ from nmt_rig.structure_sections import BeamSection, ChainSection, MatricesSectio
 
 
 def build_structure(rig: Rig) -> Structure:
-    """Linear structure of a rig, with added masses and those of its response sensors, and its loss factor.
+    """Linear structure of a rig: added masses and those of response sensors, loss factor, oscillators.
 
     Raises:
         BenchError: numbers that make no structure, or negative masses that leave it without inertia.
     """
-    return with_modal_damping(build_plain_structure(rig), rig)
+    return completed_structure(build_plain_structure(rig), rig)
 
 
-def with_modal_damping(structure: Structure, rig: Rig) -> Structure:
-    """The structure of `build_plain_structure` with the damping that a rig's section says mode by mode."""
+def completed_structure(structure: Structure, rig: Rig) -> Structure:
+    """The structure of `build_plain_structure` with the damping that its section says mode by mode, and oscillators.
+
+    These have dampers of their own.
+    """
     s = rig.structure
     if s.damping_factors:
         structure = structure.with_damping_factors(s.damping_factors)
-    return structure.with_loss_factor(s.loss_factor) if s.loss_factor else structure
+    if s.loss_factor:
+        structure = structure.with_loss_factor(s.loss_factor)
+    for item in s.oscillators:
+        omega = 2.0 * np.pi * item.frequency_hz
+        structure = structure.with_oscillator(item.point, item.mass_kg, omega, item.damping_ratio)
+    return structure
 
 
 def build_plain_structure(rig: Rig) -> Structure:
-    """Structure of a rig as `build_structure`, but without damping factors and loss factor; errors as there."""
+    """Structure of a rig as `build_structure` without damping factors, loss factor and oscillators; errors as there."""
     s = rig.structure
     try:
         structure = _bare_structure(s)

@@ -18,10 +18,20 @@ class AddedMassSection(Section):
     mass_kg: float
 
 
+class OscillatorSection(Section):
+    """Mass on a spring and a damper at a point: one more degree of freedom."""
+
+    point: Point
+    mass_kg: Positive
+    frequency_hz: Positive
+    damping_ratio: NotNegative = 0.0
+
+
 class StructureSection(Section):
-    """Common keys of structures: masses added at points, hysteretic damping K (1 + iη), factors on modes' damping."""
+    """Common keys of structures: masses and oscillators at points, hysteretic damping, factors on modes' damping."""
 
     added_masses: Annotated[list[AddedMassSection], Field(default_factory=list)]
+    oscillators: Annotated[list[OscillatorSection], Field(default_factory=list)]
     loss_factor: NotNegative = 0.0
     damping_factors: Annotated[list[NotNegative], Field(default_factory=list)]
 

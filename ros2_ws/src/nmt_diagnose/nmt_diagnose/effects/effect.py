@@ -50,7 +50,9 @@ class Site:
         reference: size that a strength is counted from, in the unit of the channel; the frequency of a line, Hz; or a
             speed, m/s.
         starts: strengths beside zero from which a fit begins, by name, in their unit.
+        begun: all parameters from which fits begin instead, by name, in their unit, where data tell them together.
         limits: largest magnitude that physics allows a parameter, by name, in its unit; none for those left out.
+        band_hz: band that shows a resonance here, Hz; (0, 0) where none does.
         existing: what the model itself has of a strength at this place, by name, in its unit: so much of it may be
             taken off, although what is added cannot be negative.
     """
@@ -63,8 +65,10 @@ class Site:
     option: str = ""
     reference: float = 0.0
     starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    begun: tuple[Mapping[str, float], ...] = ()
     limits: Mapping[str, float] = field(default_factory=dict)
     existing: Mapping[str, float] = field(default_factory=dict)
+    band_hz: tuple[float, float] = (0.0, 0.0)
 
 
 Reported = Mapping[str, tuple[float, str]]

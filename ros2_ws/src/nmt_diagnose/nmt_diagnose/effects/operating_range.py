@@ -7,6 +7,21 @@ from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
+class LackingMode:
+    """A mode that responses show and the model lacks.
+
+    Attributes:
+        pole: of the responses, with positive imaginary part, rad/s.
+        band_hz: first and last line of the responses.
+        receptance: of the model at the pole, of each point by a force there, m/N.
+    """
+
+    pole: complex
+    band_hz: tuple[float, float]
+    receptance: Mapping[int, complex]
+
+
+@dataclass(frozen=True)
 class OperatingRange:
     """Largest amplitudes over all tests.
 
@@ -30,6 +45,7 @@ class OperatingRange:
         delays: lateness of each channel against the model by the phases of all its lines, s.
         duration_s: bench time from the first to the last window, s.
         cycles: drive periods in that time.
+        lacking: modes that responses show and the model lacks.
     """
 
     omega: float
@@ -50,6 +66,7 @@ class OperatingRange:
     limits: Mapping[str, float] = field(default_factory=dict)
     unclipped: frozenset[str] = frozenset()
     delays: Mapping[str, float] = field(default_factory=dict)
+    lacking: tuple[LackingMode, ...] = ()
 
     def typical_mass(self, point: int) -> float:
         """1 % of what moves at a point, kg: of the mode's mass there or of the structure, whichever is less."""

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
+import numpy as np
+
 from nmt_core.key_units import unit_of_key
 from nmt_diagnose.effects.changes import added, local_element, with_local
 from nmt_diagnose.effects.effect import Effect, EffectParameter, Site
 from nmt_diagnose.effects.location import Location
-from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.operating_range import LackingMode, OperatingRange
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.element_uses import ElementEffect
 from nmt_rig.model.local_elements import SECTIONS
 from nmt_rig.model.local_elements.dampers import PowerLawDamperSection
 from nmt_rig.model.local_elements.element import ElementSection
-from nmt_rig.rig import AddedMassSection, BeamSection, Rig
+from nmt_rig.rig import AddedMassSection, BeamSection, OscillatorSection, Rig
+from nmt_rig.rig_model import build_plain_structure
 
+MISSING_MODE = "missing_mode"
 Sizes = Callable[[float, float, float], Mapping[str, float]]
 
 
@@ -146,6 +151,85 @@ def _with_mass(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     return with_value(rig, ("structure", "added_masses"), [*rig.structure.added_masses, added])
 
 
+def _oscillator_starts(mode: LackingMode, point: int, mass: float, hanging: bool) -> Mapping[str, float] | None:
+    """Parameters of an oscillator of some mass that gives the model the pole of the responses; None where none does.
+
+    With the receptance H of the point and the dynamic stiffness Z of what is added, 1 + H Z = 0 at the pole s. That of
+    the oscillator has 1/Z = 1/(s² m) + 1/(k + s c); where its mass is taken from the structure, Z − s² m counts.
+    """
+    s, inertia = mode.pole, mode.pole**2 * mass
+    added = -1.0 / mode.receptance[point] + (inertia if hanging else 0.0)
+    spring = 1.0 / (1.0 / added - 1.0 / inertia)
+    damper = spring.imag / s.imag
+    stiffness = spring.real - s.real * damper
+    if not stiffness > 0.0:
+        return None
+    omega = math.sqrt(stiffness / mass)
+    ratio = damper / (2.0 * omega * mass)
+    hertz = omega / (2.0 * math.pi)
+    if not mode.band_hz[0] < hertz < mode.band_hz[1]:
+        return None
+    return {"m": mass, "f": hertz, "zeta": max(ratio, THRESHOLDS.candidates.least_oscillator_damping)}
+
+
+def _oscillator_sites(hanging: bool) -> Callable[[Rig, OperatingRange], tuple[Site, ...]]:
+    def sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
+        found = []
+        for number, mode in enumerate(operating.lacking):
+            hertz = abs(mode.pole) / (2.0 * math.pi)
+            for point, _, _, _ in (spot for spot in spots(rig, operating) if not spot[1]):
+                detail = f"{point} at {hertz:.4g} Hz" if number else str(point)
+                scale = operating.typical_mass(point)
+                masses = [100.0 * share * scale for share in THRESHOLDS.candidates.oscillator_mass_shares]
+                masses = [mass for mass in masses if not hanging or mass < _mass_at(rig, point)]
+                begun = [_oscillator_starts(mode, point, mass, hanging) for mass in masses]
+                known = tuple(start for start in begun if start is not None)
+                if known:
+                    location = Location("structure", (point,), detail=detail)
+                    scales = {"m": scale, "f": hertz, "zeta": -mode.pole.real / abs(mode.pole)}
+                    found.append(Site(location, scales, point, begun=known, band_hz=mode.band_hz))
+        return tuple(found)
+
+    return sites
+
+
+def _mass_at(rig: Rig, point: int) -> float:
+    """What may be taken off at a point until the structure is without inertia in some motion, kg."""
+    structure = build_plain_structure(rig)
+    selector = structure.selector(point)
+    return float(1.0 / (selector @ np.linalg.solve(structure.mass, selector)))
+
+
+def _with_oscillator(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    """The rig with a mass on a spring, whose frequency stays within the band that shows it."""
+    low, high = site.band_hz
+    oscillator = OscillatorSection.model_construct(
+        point=site.point, mass_kg=values["m"], frequency_hz=min(max(values["f"], low), high),
+        damping_ratio=values["zeta"],
+    )  # fmt: skip
+    return with_value(rig, ("structure", "oscillators"), [*rig.structure.oscillators, oscillator])
+
+
+def _with_hanging_mass(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
+    """The same, its mass taken from the structure: what moves slowly is the model's."""
+    return _with_mass(_with_oscillator(rig, site, values), site, {"m": -values["m"]})
+
+
+_MISSING_MODE = Effect(
+    name=MISSING_MODE, place="structure", equation="one more degree of freedom: m on k = (2πf)² m and c = 4πζfm",
+    reference="Ewins, Modal Testing (2000); Den Hartog, Mechanical Vibrations (1956), section 3.2",
+    keys="structure.oscillators",
+    parameters=(
+        EffectParameter("m", "kg"), EffectParameter("f", "Hz", "shape", std=0.3),
+        EffectParameter("zeta", "1", "shape", std=1.0),
+    ),
+    sites=_oscillator_sites(hanging=False), change=_with_oscillator,
+)  # fmt: skip
+_ELASTIC_TRANSMISSION = replace(
+    _MISSING_MODE, equation="the same, m taken from what the model has at the point: an elastic transmission",
+    keys="structure.oscillators, structure.added_masses of −m",
+    sites=_oscillator_sites(hanging=True), change=_with_hanging_mass, form="of the model's mass",
+)  # fmt: skip
 _STRUCTURAL_DAMPING = Effect(
     name="structural_damping", place="structure", equation="K (1 + iη)",
     reference="Crandall, J. Sound Vib. 11 (1970) 3; as modal viscous damping ζ_r = η/2, exact at each resonance",
@@ -163,7 +247,7 @@ _ADDED_MASS = Effect(
 _MORE: dict[str, Callable[[Effect], tuple[Effect, ...]]] = {
     "air_drag": lambda effect: (_air_drag(effect),),
     "power_law_damping": lambda effect: (_power_law(effect), _STRUCTURAL_DAMPING),
-    "viscous_damping": lambda effect: (effect, _ADDED_MASS),
+    "viscous_damping": lambda effect: (effect, _ADDED_MASS, _MISSING_MODE, _ELASTIC_TRANSMISSION),
 }
 """What an effect is beyond its element; and, beside those that they are like, effects that are none."""
 

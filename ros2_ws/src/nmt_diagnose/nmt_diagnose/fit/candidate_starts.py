@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
@@ -35,11 +36,19 @@ def at_zero(candidate: Candidate, start: FloatArray) -> FloatArray:
     return at_strength(candidate, start, 0.0)
 
 
+def _dimensionless(candidate: Candidate, values: Mapping[str, float]) -> FloatArray:
+    """Parameters (parameters,) of values in their units."""
+    scaled = [(p.kind, values[p.name] / candidate.site.scales[p.name]) for p in candidate.effect.parameters]
+    return np.array([np.log(value) if kind == "shape" else value for kind, value in scaled])
+
+
 def starts_of(candidate: Candidate) -> list[FloatArray]:
     """Dimensionless parameters to look at, (parameters,) each.
 
-    All combinations of the grids; a strength without grid is at zero.
+    Those of its site where that has some; else all combinations of the grids, a strength without grid at zero.
     """
+    if candidate.site.begun:
+        return [_dimensionless(candidate, values) for values in candidate.site.begun]
     grids: list[tuple[float, ...]] = []
     for parameter in candidate.effect.parameters:
         if parameter.kind == "shape":

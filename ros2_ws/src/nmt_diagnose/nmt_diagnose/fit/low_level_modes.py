@@ -11,20 +11,24 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares, linear_sum_assignment
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_diagnose.effects.operating_range import LackingMode
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.fit.pole_slopes import PoleSlopes, RestingMatrices
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
 from nmt_diagnose.prediction.lateness import lateness
+from nmt_diagnose.prediction.operating_range import receptances
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts, rig_parts, same_motion
 from nmt_diagnose.prediction.rig_tables import GAIN
@@ -79,7 +83,9 @@ class Modes:
         return np.asarray(np.abs(self.shapes.conj() @ other.shapes.T) ** 2 / np.maximum(np.outer(*squares), 1e-300))
 
 
-def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: int) -> Modes:
+def measured_modes(
+    frequency_hz: FloatArray, responses: ComplexArray, expected: int, least_share: float | None = None
+) -> Modes:
     """Modes of frequency responses by vector fitting: poles that all channels share are relocated until they stay.
 
     Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052, with all channels on one set of poles. Kept are
@@ -89,6 +95,8 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
         frequency_hz: lines, ascending, (n,).
         responses: motions over a force or voltage, (channels, n); not a number where a line is missing.
         expected: modes that are expected.
+        least_share: of the response at its frequency that a mode carries in half of the channels; None = that of a
+            mode.
 
     Returns:
         Modes within the lines; shapes are residues over 2π times the last line, (k, channels).
@@ -121,12 +129,13 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
         poles = -np.abs(found.real) + 1j * found.imag
         if not poles.size:
             return Modes(np.zeros(0, dtype=np.complex128), np.zeros((0, len(responses)), dtype=np.complex128))
-    return _kept(frequency_hz, responses, known, poles, s, scale)
+    least_share = THRESHOLDS.modes.mode_share if least_share is None else least_share
+    return _kept(frequency_hz, responses, known, poles, s, scale, least_share)
 
 
 def _kept(
     frequency_hz: FloatArray, responses: ComplexArray, known: np.ndarray, poles: ComplexArray, s: ComplexArray,
-    scale: float,
+    scale: float, least_share: float,
 ) -> Modes:  # fmt: skip
     design = np.hstack([_basis(s, poles), np.ones((s.size, 1)), s[:, None]])
     residues, shares = [], []
@@ -152,7 +161,7 @@ def _kept(
         inside
         & wide
         & (damping < THRESHOLDS.modes.highest_measured_damping)
-        & (np.median(carried, axis=0) > THRESHOLDS.modes.mode_share)
+        & (np.median(carried, axis=0) > least_share)
     )
     order = np.flatnonzero(good)[np.argsort(poles.imag[good])]
     return Modes(poles[order] * scale, np.array(residues).T[order])
@@ -191,6 +200,38 @@ def modes_that_lack(
     ]
 
 
+def paired(found: Modes, model: Modes, likeness: FloatArray) -> NDArray[np.int64]:
+    """The model's mode of each that was found, (k,); -1 where it has none that is near or alike.
+
+    Args:
+        found: k modes of responses.
+        model: those of the model.
+        likeness: modal assurance criterion of each with each, (k, modes).
+    """
+    limits, which = THRESHOLDS.modes, np.full(found.poles.size, -1)
+    if not model.poles.size:
+        return which
+    apart = np.abs(np.log(found.frequencies_hz[:, None] / model.frequencies_hz[None]))
+    measured, modelled = linear_sum_assignment(apart + (1.0 - likeness))
+    near = apart[measured, modelled]
+    sure = (near < limits.near_log_frequency) | (
+        (likeness[measured, modelled] > limits.unlike_mac) & (near < limits.apart_log_frequency)
+    )
+    which[measured[sure]] = modelled[sure]
+    return which
+
+
+def more_modes(found: Modes, model: Modes, band_hz: tuple[float, float]) -> bool:
+    """Whether responses show more resonances in their band than the model has there or just outside.
+
+    What moves the modes that the model has, such as a mass, adds none.
+    """
+    reach = math.exp(THRESHOLDS.modes.near_log_frequency)
+    hertz = model.frequencies_hz
+    there = (hertz > band_hz[0] / reach) & (hertz < band_hz[1] * reach)
+    return found.poles.size > int(there.sum())
+
+
 def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -> list[tuple[float, str]]:
     """Modes in another order than the model's, which no fit brings to each other: frequency in Hz and a sentence each.
 
@@ -211,6 +252,21 @@ def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -
     return result
 
 
+class _Looked(NamedTuple):
+    """Responses of a test (channels, lines), and the model's modes at these channels."""
+
+    test: Measurement
+    lines: FloatArray
+    responses: ComplexArray
+    model: Modes
+
+    def over(self, lines: FloatArray) -> ComplexArray:
+        """Responses (channels, n) over more lines, not a number where the test has none."""
+        result = np.full((len(self.responses), lines.size), np.nan, dtype=np.complex128)
+        result[:, np.searchsorted(lines, self.lines)] = self.responses
+        return result
+
+
 class LowLevelModes:
     """Modes of the random tests and linear responses of some observations.
 
@@ -224,6 +280,7 @@ class LowLevelModes:
         self.tests: list[tuple[Measurement, Modes, np.ndarray]] = []
         self.disordered: tuple[str, ...] = ()
         self._lacking: list[tuple[float, str]] = []
+        self._looked: dict[_Key, list[_Looked]] = {}
         late = lateness(observations, rig)
         for number, test in enumerate(observations.tests):
             if test.modal_lines_hz is not None:
@@ -253,20 +310,16 @@ class LowLevelModes:
         model = self.modes(self.rig, test)
         if model is None or not kept.any():
             return
+        self._looked.setdefault(_key(test), []).append(
+            _Looked(test, lines, responses[kept], Modes(model.poles, model.shapes[:, kept]))
+        )
         near = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
         found = measured_modes(lines, responses[kept], int(near.sum()))
         found = Modes(found.poles, _padded(found.shapes, kept))
         if not found.poles.size or not model.poles.size:
             return
         likeness = found.likeness(Modes(model.poles, np.where(kept, model.shapes, 0.0)))
-        apart = np.abs(np.log(found.frequencies_hz[:, None] / model.frequencies_hz[None]))
-        measured, modelled = linear_sum_assignment(apart + (1.0 - likeness))
-        which = np.full(found.poles.size, -1)
-        near = apart[measured, modelled]
-        sure = (near < THRESHOLDS.modes.near_log_frequency) | (
-            (likeness[measured, modelled] > THRESHOLDS.modes.unlike_mac) & (near < THRESHOLDS.modes.apart_log_frequency)
-        )
-        which[measured[sure]] = modelled[sure]
+        which = paired(found, model, likeness)
         for frequency, sentence in modes_that_lack(test.name, (lines[0], lines[-1]), found, which):
             if all(
                 abs(math.log(frequency / reported_hz)) >= THRESHOLDS.modes.same_log_frequency
@@ -277,6 +330,27 @@ class LowLevelModes:
         used = which >= 0
         if used.any():
             self.tests.append((test, Modes(found.poles[used], found.shapes[used]), which[used]))
+
+    @cached_property
+    def missing(self) -> tuple[LackingMode, ...]:
+        """Modes that make more resonances than the model has in a band, all tables over it taken together."""
+        result: list[LackingMode] = []
+        for looked in self._looked.values():
+            test, lines = looked[0].test, np.unique(np.concatenate([each.lines for each in looked]))
+            model = Modes(looked[0].model.poles, np.hstack([each.model.shapes for each in looked]))
+            inside = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
+            responses = np.vstack([each.over(lines) for each in looked])
+            found = measured_modes(lines, responses, int(inside.sum()), THRESHOLDS.modes.missing_share)
+            band_hz = float(lines[0]), float(lines[-1])
+            if not more_modes(found, model, band_hz):
+                continue
+            which = paired(found, model, found.likeness(model))
+            for pole in map(complex, found.poles[which < 0]):
+                apart = [abs(math.log(abs(pole) / abs(known.pole))) for known in result]
+                if all(value >= THRESHOLDS.modes.same_log_frequency for value in apart):
+                    receptance = receptances(self.rig, pole, test.divisor is not None)
+                    result.append(LackingMode(pole, band_hz, receptance))
+        return tuple(result)
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -499,7 +573,7 @@ def _slopes(parametrisation: Parametrisation, theta: FloatArray, test: Measureme
         if same_motion(other, rig):
             continue
         changed = _parts(other, test, parts)
-        if changed is not None:
+        if changed is not None and changed.system.size == parts.system.size:
             slopes[:, column] = following.along(RestingMatrices.of(changed).minus(matrices)) / step
     return _Slopes(poles, slopes, clocks)
 

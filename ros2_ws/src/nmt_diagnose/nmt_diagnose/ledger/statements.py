@@ -59,6 +59,15 @@ STATEMENTS = (
         f"{_DIAGNOSE}court/test_effects.py::test_a_healthy_table_has_no_effect",
     ),
     Statement(
+        "missing mode",
+        "The structure has a degree of freedom that the model lacks: a mass on a spring at a point.",
+        "The responses show more resonances in their band than the model has there, and a pole that none of its modes "
+        "is; the oscillator's frequency lies within the band.",
+        "Other effects, such as an added mass; where nothing makes the resonance, that the model lacks it.",
+        "nmt_diagnose.fit.low_level_modes:more_modes",
+        f"{_DIAGNOSE}test_missing_mode.py::test_what_moves_modes_adds_none",
+    ),
+    Statement(
         "second effect",
         "Another effect acts beside the first.",
         "The same, beside the explanation by the first alone.",

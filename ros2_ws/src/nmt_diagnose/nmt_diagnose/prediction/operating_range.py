@@ -11,6 +11,7 @@ from scipy.linalg import eigh
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.rig_edit import with_exciters
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Measurement
 from nmt_diagnose.observations.observables import Observations, Part
@@ -19,7 +20,7 @@ from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.resting_motion import Motion, mode_under_test
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.rig import BeamSection, ChainSection, Rig
+from nmt_rig.rig import BeamSection, ChainSection, ForceSection, Rig
 from nmt_rig.rig_model import build_system
 
 
@@ -120,6 +121,27 @@ def operating_range(
         unclipped=_unclipped(tests),
         delays=_late(observations, rig) if observations else {},
     )
+
+
+def receptances(rig: Rig, pole: complex, ideal_force: bool) -> dict[int, complex]:
+    """Receptance of each point of a rig at rest by a force there, at a complex frequency, m/N.
+
+    Args:
+        rig: the model.
+        pole: rad/s.
+        ideal_force: without its exciters.
+
+    Raises:
+        BenchError: the rig has no model.
+    """
+    if ideal_force:
+        rig = with_exciters(rig, [ForceSection(kind="force", point=point) for point in rig.exciter_points])
+    system = build_system(rig)
+    stiffness = system.sticking_stiffness()
+    dynamic = pole * (pole * system.mass + system.damping) + stiffness
+    selectors = np.array([system.selector(point) for point in rig.structure.points])
+    found = np.einsum("pn,np->p", selectors, np.linalg.solve(dynamic, selectors.T))
+    return dict(zip(rig.structure.points, map(complex, found), strict=True))
 
 
 def _late(observations: Observations, rig: Rig) -> dict[str, float]:

@@ -60,8 +60,8 @@ from nmt_rig.rig_model import (
     build_structure,
     build_system,
     build_table,
+    completed_structure,
     inputs_per_volt,
-    with_modal_damping,
 )
 
 _OUTPUTS = {
@@ -99,7 +99,7 @@ class RigParts:
         rows: outputs.
         keys: identity of each coordinate, to carry solutions over to another rig.
         structure: the structure alone.
-        plain: the same without the damping that its section says mode by mode.
+        plain: the same without the damping that its section says mode by mode, and without oscillators.
         bare: structure and exciter without local elements.
         forced: a shaking table was left out of ``bare``: the input is a force.
         rig: what was taken apart, as it is at that moment.
@@ -301,16 +301,16 @@ def rig_parts(
 
 
 def _bare(rig: Rig, forced: bool, others: Sequence[RigParts]) -> tuple[Structure, Structure, ElectromechanicalSystem]:
-    """Structure without the damping of its modes, with it, and with its exciter; of others where they have the same."""
+    """Structure without what completes it, with that, and with its exciter; of others where they have the same."""
     without = rig.model_copy(update={"local_elements": []})
     alike = [parts for parts in others if same_masses(rig, parts.rig)]
     equal = [parts for parts in alike if _equal_structures(rig, parts.rig)]
     if equal:
         plain, structure = equal[0].plain, equal[0].structure
     else:
-        same = (parts.plain for parts in alike if _equal_structures(rig, parts.rig, but_for=_MODAL_DAMPING))
+        same = (parts.plain for parts in alike if _equal_structures(rig, parts.rig, but_for=_COMPLETED))
         plain = next(same, None) or build_plain_structure(without)
-        structure = with_modal_damping(plain, without)
+        structure = completed_structure(plain, without)
     known = (parts.bare for parts in equal if rig.all_exciters == parts.rig.all_exciters and parts.forced == forced)
     bare = next(known, None)
     if bare is None:
@@ -319,7 +319,7 @@ def _bare(rig: Rig, forced: bool, others: Sequence[RigParts]) -> tuple[Structure
     return plain, structure, bare
 
 
-_MODAL_DAMPING = frozenset(("damping_factors", "loss_factor"))
+_COMPLETED = frozenset(("damping_factors", "loss_factor", "oscillators"))
 
 
 def _equal_structures(rig: Rig, other: Rig, but_for: frozenset[str] = frozenset()) -> bool:

@@ -11,6 +11,7 @@ from nmt_core.numerics.arrays import BoolArray
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import candidates as library_candidates
 from nmt_diagnose.effects.location import Explanation
+from nmt_diagnose.effects.structure_effects import MISSING_MODE
 from nmt_diagnose.fit.explanations import FittedExplanation, LeftOut, Score, best_of
 from nmt_diagnose.fit.fitting import ChainErrors, Data, best_chain_errors
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
@@ -136,10 +137,14 @@ def find(
         fitted &= compared
     modes = LowLevelModes(observations, rig)
     observations, as_given, null, data = model_alone(rig, observations, parameters, fitted, modes)
-    operating = operating_range(rig, observations.tests, observations=observations)
-    beyond_effects = modes.disordered or modes.lacking(data, null.fit, certain=True)
+    operating = replace(operating_range(rig, observations.tests, observations=observations), lacking=modes.missing)
+    certain = modes.lacking(data, null.fit, certain=True)
+    beyond_effects = modes.disordered or certain
     scales = factors(observations, as_given.values, null.fit.prediction.values, fitted)
-    candidates = () if beyond_effects or scales else library_candidates(rig, operating, settings.withheld)
+    candidates = () if modes.disordered or scales else library_candidates(rig, operating, settings.withheld)
+    if certain:
+        # No other effect makes a resonance.
+        candidates = tuple(candidate for candidate in candidates if candidate.effect.name == MISSING_MODE)
     search = Search(data, rig, parameters, candidates, tell)
     scores = cache(partial(search.scores, null))
     law: LawReading | None = None
@@ -217,7 +222,11 @@ def _singles(
 ) -> list[FittedExplanation]:
     """Explanations by one effect and those that were begun, the best first; those that are passed need no fit."""
     singles = best_of([*begun, *search.singles(null, scores, passed)])
-    if modes.far_from(rig) and modes.exceed_priors(null.fit.parametrisation, null.fit.theta):
+    if (
+        not search.of_missing_modes
+        and modes.far_from(rig)
+        and modes.exceed_priors(null.fit.parametrisation, null.fit.theta)
+    ):
         search.tell("bringing the modes of explanations to the measured ones")
         singles = best_of([*singles, *search.from_modes(null, modes)])
     return singles

@@ -18,10 +18,21 @@ from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.location import Cause, Explanation
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.structure_effects import MISSING_MODE
 from nmt_diagnose.fit.best_fit import StartName, best_fit, evidence, spread_at, spread_of
 from nmt_diagnose.fit.candidate_starts import at_strength, at_zero, starts_of, strength_parameter, strength_position
 from nmt_diagnose.fit.explanations import FittedExplanation, Score, best_by_effect, best_of
-from nmt_diagnose.fit.fitting import FIRST_LOOK, Data, FitError, FitResult, Metric, Start, fit, predicted
+from nmt_diagnose.fit.fitting import (
+    FIRST_LOOK,
+    Data,
+    FitError,
+    FitResult,
+    Metric,
+    Start,
+    best_chain_errors,
+    fit,
+    predicted,
+)
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -331,6 +342,11 @@ class Search:
                 result.append(score)
         return result
 
+    @property
+    def of_missing_modes(self) -> bool:
+        """Whether there are no candidates but modes that the model lacks: they bring the measured ones themselves."""
+        return all(candidate.effect.name == MISSING_MODE for candidate in self.candidates)
+
     def singles(
         self,
         null: FittedExplanation,
@@ -353,7 +369,7 @@ class Search:
         )
         wanted = [score for score in wanted if Explanation((self.candidates[score.candidate].cause,)) not in passed]
         self.tell(f"fitting {len(wanted)} explanations")
-        found = self._added(null, wanted)
+        found = self._added(null, [score for score in wanted if not self._adds_a_mode(score.candidate)])
         # To first order on the model alone many places do the same to the rows; fitted they differ.
         likely = {
             score.candidate: score
@@ -364,13 +380,46 @@ class Search:
         for best in best_by_effect(found)[: 0 if passed else THRESHOLDS.search.pair_heads]:
             for number in likely:
                 other = self.candidates[number]
+                if self._adds_a_mode(number):
+                    continue
                 if other.effect.name in best.effects and Explanation((other.cause,)) not in known:
                     moved = self._exchanged(best, other, likely)
                     found += [] if moved is None else [moved]
-        found = best_of(found)
+        found = best_of([*found, *self.missing_modes(null)])
         if found and not found[0].fit.converged:
             # What has not arrived takes a second effect for the rest of its way.
             found[0] = self.again(found[0])
+        return best_of(found)
+
+    def _adds_a_mode(self, number: int) -> bool:
+        return self.candidates[number].effect.name == MISSING_MODE
+
+    def missing_modes(self, null: FittedExplanation) -> list[FittedExplanation]:
+        """Explanations by a mode that the model lacks, fitted from the model as given; the best first.
+
+        Its own parameters have been bent towards a resonance that they cannot make: nothing leads back from there.
+        """
+        data, zero = self.data, np.zeros(len(self.parameters))
+        ranked = []
+        for number, candidate in enumerate(self.candidates):
+            if not self._adds_a_mode(number):
+                continue
+            for begun in starts_of(candidate):
+                theta = np.concatenate([zero, begun])
+                values = predicted(data, self.parametrisation((candidate,)), theta, None)
+                if values is not None:
+                    ranked.append((best_chain_errors(data, values.values).cost, number, theta))
+        best: dict[int, FloatArray] = {}
+        for _, number, theta in sorted(ranked, key=lambda it: it[0]):
+            best.setdefault(number, theta)
+        found = []
+        for number, theta in list(best.items())[: THRESHOLDS.search.missing_mode_fits]:
+            candidate = self.candidates[number]
+            spread = spread_at(candidate, theta[zero.size :])
+            starts = [Start(StartName.GIVEN, theta, effort=FIRST_LOOK)]
+            fitted = self.best(self.parametrisation((candidate,), (spread,)), starts, widen=True)
+            if fitted is not None and fitted.fit.cost < null.fit.cost:
+                found.append(fitted)
         return best_of(found)
 
     def _exchanged(

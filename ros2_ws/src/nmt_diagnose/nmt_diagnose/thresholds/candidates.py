@@ -56,6 +56,16 @@ class CandidateThresholds:
         "Exponents of a power law beyond 1 that a rig file takes.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[candidates.largest_power_excess]",
     )  # fmt: skip
+    oscillator_mass_shares: tuple[float, ...] = threshold(
+        (0.01, 0.03, 0.1, 0.3, 1.0), "1",
+        "Masses of an oscillator over what moves at its point from which fits of a missing mode begin.",
+        "tests/diagnose/test_missing_mode.py::test_a_start_has_the_pole_of_the_responses",
+    )  # fmt: skip
+    least_oscillator_damping: float = threshold(
+        1e-4, "1",
+        "Damping ratio of an oscillator from which fits begin where noise says less.",
+        "tests/diagnose/test_missing_mode.py::test_a_start_has_the_pole_of_the_responses",
+    )  # fmt: skip
     least_motion_share: float = threshold(
         1e-3, "1",
         "Motion of a point over the largest below which an effect of the structure does nothing there.",

@@ -16,6 +16,11 @@ class ModeThresholds:
         "Share of a response at its frequency that a mode carries in half of the channels.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[modes.mode_share]",
     )  # fmt: skip
+    missing_share: float = threshold(
+        0.1, "1",
+        "The same of a resonance that the model lacks: a small mass on a spring turns the response by less than half.",
+        "tests/diagnose/test_missing_mode.py::test_a_small_mass_on_a_spring_is_a_resonance",
+    )  # fmt: skip
     unlike_mac: float = threshold(
         0.3, "1",
         "Modal assurance criterion below which two modes are different.",

@@ -21,6 +21,11 @@ class SearchThresholds:
         "Locations of each effect that are fitted; others follow for the best.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[search.first_locations]",
     )  # fmt: skip
+    missing_mode_fits: int = threshold(
+        8, "1",
+        "Places of a mode that the model lacks at which it is fitted, those first that come nearest as they begin.",
+        "tests/diagnose/test_missing_mode.py::test_the_nearest_places_are_fitted",
+    )  # fmt: skip
     least_cost_fall: float = threshold(
         6.0, "−2 ln p",
         "Promised fall of the cost below which nothing is fitted: less than the prior of one effect and its "

@@ -152,6 +152,40 @@ class Structure(PointMotion):
                 load += value * self.base_motion.get(point, 1.0) * selector
         return replace(self, mass=mass, base_load=load)
 
+    def with_oscillator(self, point: int, mass: float, omega: float, damping_ratio: float) -> Structure:
+        """The structure with a mass on a spring and a damper at a point, behind its degrees of freedom.
+
+        Its motion is relative to the base, as that of the point. Of a base it takes the load of its mass.
+
+        Args:
+            point: number of the point that carries it.
+            mass: m, kg.
+            omega: √(k/m), rad/s.
+            damping_ratio: c / (2 √(k m)).
+
+        Raises:
+            KeyError: the structure has no such point.
+            ValueError: a mass that is not positive.
+        """
+        n = self.size
+        across = np.append(self.selector(point), -1.0)
+
+        def grown(matrix: Array, value: float) -> Array:
+            wider = np.zeros((n + 1, n + 1))
+            wider[:n, :n] = matrix
+            return wider + value * np.outer(across, across)
+
+        inertia = grown(self.mass, 0.0)
+        inertia[n, n] = mass
+        load = self.base_load
+        if load is not None:
+            load = np.append(load, mass * self.base_motion.get(point, 1.0))
+        return replace(
+            self, mass=inertia, damping=grown(self.damping, 2.0 * damping_ratio * omega * mass),
+            stiffness=grown(self.stiffness, omega**2 * mass),
+            shapes={number: np.append(row, 0.0) for number, row in self.shapes.items()}, base_load=load,
+        )  # fmt: skip
+
     def with_loss_factor(self, loss_factor: float) -> Structure:
         """The structure with the viscous equivalent of hysteretic damping K (1 + iη) added.
 

@@ -296,3 +296,23 @@ def test_no_way_to_give_levels_passes_the_limit_or_ends_a_test() -> None:
     assert refused == dict.fromkeys(ways, 100)
     assert (result.code, [point.status for point in result.points]) == (ResultCode.SUCCEEDED, [PointStatus.OK])
     assert max(amplitudes) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("control", "level", "settings"),
+    [
+        ("force", 30.0, {}),
+        ("response", 9e-3, {}),
+        ("force", 0.5, {"test": "response_curve", "release": 1e300}),
+        ("force", 30.0, {"test": "secondary_resonance", "resonance": "3:1"}),
+    ],
+    ids=["force", "response", "release", "secondary resonance"],
+)
+def test_a_level_that_needs_more_than_the_voltage_limit_ends_with_that_reason(control, level, settings):
+    """The plant refuses such commands, so that the loop would wait for its time-out at an old drive."""
+    plan = plan_test("strong_cubic", [level], overrides=["limits.voltage_v=0.8"], control=control, **settings)
+    with Session(plan, record=False) as session:
+        result = session.run()
+    assert all(point.status is not PointStatus.OK for point in result.points)
+    assert "the voltage limit of 0.8 V" in result.points[0].reason
+    assert result.bench_time < 60.0

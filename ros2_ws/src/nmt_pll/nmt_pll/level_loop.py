@@ -13,7 +13,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, SampleBlock
 from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.numerics.arrays import FloatArray
-from nmt_core.vocabulary import LoopState, TestKind, Waveform
+from nmt_core.vocabulary import ControlKind, LoopState, TestKind, Waveform
 from nmt_pll.detection.lock import LockStateMachine, Transition
 
 
@@ -103,6 +103,7 @@ class LevelLoop(ABC):
         self._ramp = quiet_ramp
         self._deadline: float = math.inf
         self._quiet_reason = ""
+        self._limited_since: int | None = None  # since when the drive has stood at the voltage limit
         self._rejected: dict[int, str] = {}
 
     def set_level(self, level: LevelCommand) -> None:
@@ -208,9 +209,32 @@ class LevelLoop(ABC):
             return "the drive was stopped at the plant"
         return ""
 
+    def _beyond_the_limit(self, limit: float, patience: int, end: int) -> str:
+        """Keep the drive at the rig's voltage limit, which the plant refuses to pass; why the level has to be given up.
+
+        Args:
+            limit: V, 0 = none.
+            patience: samples that the drive may stand at the limit: an amplitude that is controlled overshoots.
+            end: sample after the present block.
+
+        Returns:
+            Empty if the level goes on.
+        """
+        level = self._level
+        if level is None or level.control == ControlKind.VOLTAGE or not 0.0 < limit <= self._amplitude:
+            self._limited_since = None
+            return ""
+        self._amplitude = limit
+        if self._limited_since is None:
+            self._limited_since = end
+        if end - self._limited_since <= patience:
+            return ""
+        return f"the drive would need more than the voltage limit of {limit:g} V; lower the level"
+
     def _give_up(self, end: int, reason: str) -> None:
         self.machine.lose(end, reason)
         self._amplitude = 0.0
+        self._limited_since = None
         self._ramp = self._quiet_ramp
 
     def _lock(self, end: int, omega: float, error: float, reason: str) -> LockWindow | None:

@@ -38,8 +38,8 @@ class LoopSettings:
         ramp_delay_periods: a level that follows a locked one opens its window so many periods after it begins, while
             its ramp goes on, without the lock criteria; 0 = wait for them.
         switch_off_periods: RING_DOWN: half-cosine of the voltage to zero, excitation periods; at most one.
-        voltage_limit: sweep and stepped sine give a level up whose drive would need more, control of harmonics keeps
-            drive and harmonics together below it, V; 0 = no limit.
+        voltage_limit: a level of a controlled amplitude whose drive would need more is given up, control of harmonics
+            keeps drive and harmonics together below it, V; 0 = no limit.
         slew_limit: control of harmonics keeps drive and harmonics together below it, V/s; 0 = no limit.
         phase_offset_rad, loop_latency_s: φ₀ and τ of the phase the loop holds, arg F - arg v = φ₀ + ω τ, instead of 0;
             what a controller does whose channels are not matched in phase or time.
@@ -89,7 +89,7 @@ class LoopSettings:
         1.0, "Ring-down: half-cosine of the voltage to zero; at most 1.", unit="periods", low=0.0
     )
     voltage_limit: float = setting(
-        0.0, "Sweep and stepped sine give a level up that would need more; 0 = no limit.", unit="V", low=0.0
+        0.0, "A level of a controlled amplitude that would need more is given up; 0 = no limit.", unit="V", low=0.0
     )
     slew_limit: float = setting(
         0.0, "Control of harmonics keeps drive and harmonics below it; 0 = no limit.", unit="V/s", low=0.0

@@ -395,6 +395,9 @@ class PhaseLockedLoop(LevelLoop):
                 f"the frequency stays at the {side} end of the guard band "
                 f"({self.controller.integrator / (2 * math.pi):.2f} Hz): this is not the target mode"
             )
+        reason = self._beyond_the_limit(self.settings.voltage_limit, self.dwell.length * self._block_samples, end)
+        if reason:
+            return reason
         if end > self._deadline and self.machine.state == LoopState.ACQUIRING:
             self._is_gentle ^= (
                 self._on_curve and self._parameter is CurveParameter.LAG

@@ -144,6 +144,8 @@ class SecondaryResonanceLoop(LevelLoop):
                 if not reason and end > self._judged_from and not math.isnan(error):
                     self.dwell.add(error, self.controller.output, size)
                     lock = self._judge(error, share, end) if self.dwell.full else None
+            patience = self.dwell.length * self._block_samples
+            reason = reason or self._beyond_the_limit(self.settings.voltage_limit, patience, end)
             if reason:
                 self._give_up(end, reason)
         frequency = self._drive_frequency()

@@ -14,6 +14,9 @@ from scipy.interpolate import CubicSpline
 from scipy.linalg import eigh
 
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.diagnose import diagnose_observations
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.recorded_decay import reading
 from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
@@ -144,3 +147,36 @@ def test_another_mode_costs_a_linear_decay_nothing() -> None:
     sigma = read(0.0).sigma
     with moved_threshold("reading.decay_cross_shift", 0.0):
         np.testing.assert_allclose(sigma, read(0.0).sigma, rtol=0.2)
+
+
+def of_two_channels(limit: float) -> Observations:
+    """A linear decay of both masses; the accelerometer at mass 2 cannot say more than ``limit`` times its largest."""
+    time = np.arange(0.0, 4.0, 5e-4)
+    moved = integrated(LIGHT, 0.35 * SHAPES[:, 0] / SHAPES[0, 0], time, 0.0)
+    chance = np.random.default_rng(7)
+    rows = [moved[name] + 0.002 * np.std(moved[name]) * chance.standard_normal(time.size) for name in ("v1", "a2")]
+    largest = limit * float(np.max(np.abs(moved["a2"])))
+    rows[1] = np.clip(rows[1], -largest, largest)
+    channels = MeasuredChannel("v1", Quantity.VELOCITY, 1), MeasuredChannel("a2", Quantity.ACCELERATION, 2)
+    stretch = SampleStretch(0, 2000.0, channels, np.array(rows), None, {}, math.nan)
+    view = ModelView.of(two_masses(LIGHT, 0.0), (1,))
+    by_name = {channel.name: channel for channel in channels}
+    return reading.ring_down_observations("tap", stretch, math.nan, view, by_name, ObservationSettings())
+
+
+def test_samples_of_a_decay_that_stay_at_a_level_say_that_a_channel_is_clipped() -> None:
+    """Nothing else of this decay does: the rows stand where it is smaller than the level, or within their gains."""
+    model = two_masses(LIGHT, 0.0)
+    clipped = of_two_channels(0.8)
+    at = clipped.rows.part == Part.LIMIT
+    assert [clipped.tests[0].channels[k].name for k in clipped.rows.channel[at]] == ["a2"]
+    largest = float(
+        np.max(np.abs(integrated(LIGHT, 0.35 * SHAPES[:, 0] / SHAPES[0, 0], np.arange(0, 4, 5e-4), 0)["a2"]))
+    )
+    assert 1.0 / clipped.values[at] == pytest.approx(0.8 * largest, rel=1e-3)
+    found = diagnose_observations(model, clipped, DiagnosisSettings(look_ahead=False)).diagnosis
+    assert found.verdict is Verdict.EFFECT
+    assert (found.ranking[0].effect, found.where[0].detail) == ("clipping", "a2")
+    healthy = of_two_channels(2.0)
+    assert not np.any(healthy.rows.part == Part.LIMIT)
+    assert not diagnose_observations(model, healthy, DiagnosisSettings(look_ahead=False)).diagnosis.verdict.gap

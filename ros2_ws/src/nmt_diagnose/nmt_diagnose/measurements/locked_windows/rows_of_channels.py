@@ -147,7 +147,7 @@ def _add_steps(run: UsedWindows, cells: Sequence[Cell], view: ModelView, table: 
 
 def _add_limits(run: UsedWindows, view: ModelView, table: RowTable) -> None:
     """Add the levels at which channels are clipped, where the model does not say so."""
-    believed = {view.rig.sensor_channel(sensor): sensor.clip or sensor.range for sensor in view.rig.sensors}
+    believed = believed_limits(view)
     for number, channel in enumerate(run.channels):
         if channel.quantity is Quantity.VOLTAGE:
             continue
@@ -157,12 +157,31 @@ def _add_limits(run: UsedWindows, view: ModelView, table: RowTable) -> None:
             for k, window in enumerate(run.windows)
             if theirs in window.rows and (level := clipping_level(window.stretch.row(theirs))) > 0.0
         }
-        expected = believed.get(channel.name)
         for k, level in found.items():
-            if expected is None or not math.isclose(level, expected, rel_tol=THRESHOLDS.reading.same_limit_share):
-                # All levels together say it once.
-                floor = THRESHOLDS.reading.limit_std_share / level * math.sqrt(len(found))
-                table.add(Part.LIMIT, 1.0 / level, 0.0, floor, run.place(k, run.levels[k].frequency_hz), number)
+            add_limit(
+                table, level, believed.get(channel.name), run.place(k, run.levels[k].frequency_hz), number, len(found)
+            )
+
+
+def believed_limits(view: ModelView) -> dict[str, float | None]:
+    """Level at which the model clips each channel, in its unit; None = nowhere."""
+    return {view.rig.sensor_channel(sensor): sensor.clip or sensor.range for sensor in view.rig.sensors}
+
+
+def add_limit(table: RowTable, level: float, expected: float | None, place: Place, channel: int, times: int) -> None:
+    """Add the row of a level at which samples of a channel stay, unless the model clips it there.
+
+    Args:
+        table: rows of the test.
+        level: of the samples, in the channel's unit.
+        expected: the model's; None = nowhere.
+        place: of the row.
+        channel: number of the channel in its test.
+        times: rows that say the same: together they count once.
+    """
+    if expected is None or not math.isclose(level, expected, rel_tol=THRESHOLDS.reading.same_limit_share):
+        floor = THRESHOLDS.reading.limit_std_share / level * math.sqrt(times)
+        table.add(Part.LIMIT, 1.0 / level, 0.0, floor, place, channel)
 
 
 def _add_repeats(run: UsedWindows, table: RowTable) -> None:

@@ -17,12 +17,14 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.locked_windows.rows_of_channels import add_limit, believed_limits
 from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.decays.decay_hum import without_hum
 from nmt_signals.decays.decay_nodes import Node, ratio_at
 from nmt_signals.decays.decay_reading import DEMODULATION_WIDTHS, DecayReading, read_decay
@@ -116,6 +118,11 @@ def ring_down_observations(
             std = math.hypot(std, 2.0 * _shift(node, _lowest(decay.good), decay.others[level]))
             table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
             table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
+    for index, recorded in enumerate((model_channel, *others)):
+        if (limit := clipping_level(stretch.row(recorded.name))) > 0.0:
+            first = decay.good[0]
+            place = Place(0, stretch.start_s + first.time_s, first.omega / (2.0 * math.pi), first.amplitude)
+            add_limit(table, limit, believed_limits(view).get(channels[recorded.name].name), place, index, 1)
     notes += notes_of(name, decay)
     test = RecordedDecay(
         name,

@@ -44,6 +44,7 @@ class RecordedDecay(Driven):
     interleaved: ClassVar[bool] = True
     rising: ClassVar[bool] = True
     linear_chain: ClassVar[bool] = True
+    unexcited: ClassVar[tuple[Part, ...]] = (Part.LIMIT,)
 
     name: str
     drive_point: int

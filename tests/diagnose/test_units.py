@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from diagnose.court.small_rigs import backbone, diagnosed, one_mode_rig
 from tiers import with_quick
 
 from nmt_core.errors import BenchError
@@ -13,6 +14,12 @@ from nmt_diagnose.units.unit_group import UnitDiagnosis, unit_group
 from nmt_diagnose.units.unit_table import read_unit_table
 from nmt_report.group_report import group_page
 from nmt_rig.rig import load_rig
+
+
+def replaced_mode(rig, mass):
+    """The rig of one mode with another modal mass, kg."""
+    mode = rig.structure.modes[0].model_copy(update={"modal_mass_kg": mass})
+    return rig.model_copy(update={"structure": rig.structure.model_copy(update={"modes": [mode]})})
 
 
 def estimates(values, std):
@@ -85,6 +92,35 @@ def test_an_odd_unit_is_found_and_named():
         odd = components(estimates(values, 0.3)).odd
         right += bool(odd) and odd[0].unit == "unit 4"
     assert right >= 36
+
+
+def test_what_all_units_share_hides_no_odd_one_and_widens_no_band():
+    """Each estimate is off by 5 % of itself, all alike, and by 0.5 % of its own; a unit of twice the value is odd."""
+    random = np.random.default_rng(6)
+    found = inside = 0
+    trials = 300
+    for _ in range(trials):
+        values = 100.0 * (1.0 + 0.02 * random.standard_normal(6)) * (1.0 + 0.005 * random.standard_normal(6))
+        values *= 1.0 + 0.05 * random.standard_normal()
+        group = components([Estimate(f"unit {k}", "", value, 0.5, 5.0) for k, value in enumerate(values[:5])])
+        inside += group.next_low <= values[5] <= group.next_high
+        assert group.mean_std > 4.9
+        values[2] *= 2.0
+        odd = components([Estimate(f"unit {k}", "", v, v / 200.0, v / 20.0) for k, v in enumerate(values[:5])]).odd
+        found += [each.unit for each in odd] == ["unit 2"]
+    assert 0.93 - 0.03 <= inside / trials <= 0.97 + 0.03
+    assert found >= 0.97 * trials
+
+
+def test_what_is_shared_is_what_a_wrong_mass_of_the_model_does_to_all_units():
+    """The backbone says k/m alone: of two models whose masses differ by a tolerance, both springs differ by it."""
+    rig = one_mode_rig()
+    given = diagnosed(rig, backbone(4, 3e9))
+    tolerance = next(row.prior_std for row in given.calibration if "mass" in row.name)
+    moved = diagnosed(replaced_mode(rig, rig.structure.modes[0].modal_mass_kg * (1.0 + tolerance)), backbone(4, 3e9))
+    spring, other = (found.ranking[0].parameters["k"] for found in (given, moved))
+    assert spring.shared_std == pytest.approx(other.value - spring.value, rel=0.15)
+    assert spring.shared_std > 0.6 * spring.std
 
 
 @pytest.mark.parametrize(

@@ -41,11 +41,18 @@ class Verdict(str, Enum):
 
 @dataclass(frozen=True)
 class Value:
-    """A number with its standard uncertainty."""
+    """A number with its standard uncertainty.
+
+    Attributes:
+        value, std, unit: of the number.
+        shared_std: part of ``std`` that comes from what is believed of the model's parameters: the same for all
+            recordings that are compared with one model.
+    """
 
     value: float
     std: float
     unit: str
+    shared_std: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -231,7 +238,7 @@ class NextTest:
 
 @dataclass(frozen=True)
 class Recalibrated:
-    """A parameter of the given model that was re-fitted."""
+    """A parameter of the given model that was re-fitted; ``shared_std`` as of a value."""
 
     name: str
     start: float
@@ -240,6 +247,7 @@ class Recalibrated:
     unit: str
     prior_std: float
     sigmas: float
+    shared_std: float = 0.0
 
 
 @dataclass(frozen=True)

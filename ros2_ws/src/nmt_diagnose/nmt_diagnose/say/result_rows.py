@@ -77,16 +77,28 @@ def covariance_with_scale(data: Data, found: FittedExplanation) -> FloatArray:
     return np.asarray(fitted.covariance + moved @ moved.T)
 
 
+def shared_covariance(found: FittedExplanation) -> FloatArray:
+    """Part of the covariance of θ that comes from what is believed of the model's parameters, (n, n).
+
+    The estimate is Σ (JᵀR⁻¹ y + P⁻¹ θ₀), so that an error of θ₀, of covariance P = 1, moves it by Σ θ₀ and has the
+    covariance Σ P⁻¹ Σ. What is believed of the measuring chain is none of the model's.
+    """
+    parametrisation = found.fit.parametrisation
+    believed = [k for k, each in enumerate(parametrisation.calibration) if not isinstance(each, SharedDelay)]
+    moved = found.fit.covariance[:, believed]
+    return np.asarray(moved @ moved.T)
+
+
 def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
     """Reported parameters with standard uncertainties, carried through to first order (GUM, 5.2)."""
     parametrisation, theta = found.fit.parametrisation, found.fit.theta
-    full_covariance = covariance_with_scale(data, found)
+    full_covariance, full_shared = covariance_with_scale(data, found), shared_covariance(found)
     result: dict[str, Value] = {}
     named = found.stated or range(len(found.candidates))
     for index in named:
         candidate = found.candidates[index]
         selected = parametrisation.index_of(index)
-        covariance = full_covariance[selected, selected]
+        covariance, shared = full_covariance[selected, selected], full_shared[selected, selected]
         for name, (value, unit) in parametrisation.reported(theta, index).items():
             slopes = np.empty(selected.stop - selected.start)
             for position, k in enumerate(range(selected.start, selected.stop)):
@@ -94,9 +106,10 @@ def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
                 step = 0.1 * found.fit.std[k]
                 moved[k] += step
                 slopes[position] = (parametrisation.reported(moved, index)[name][0] - value) / step
-            variance = float(slopes @ covariance @ slopes) if np.all(np.isfinite(slopes)) else math.inf
+            known = bool(np.all(np.isfinite(slopes)))
+            variance, common = (float(slopes @ part @ slopes) if known else math.inf for part in (covariance, shared))
             label = f"{candidate.label}.{name}" if len(named) > 1 else name
-            result[label] = Value(value, math.sqrt(max(variance, 0.0)), unit)
+            result[label] = Value(value, math.sqrt(max(variance, 0.0)), unit, math.sqrt(max(common, 0.0)))
     return result
 
 
@@ -135,15 +148,17 @@ def place_rows(comparison: Comparison, explained: Mapping[str, float]) -> tuple[
 def calibration_rows(found: FittedExplanation) -> tuple[Recalibrated, ...]:
     """The model's own parameters before and after; those of the measuring chain are none of them."""
     result = []
+    shared = np.sqrt(np.diag(shared_covariance(found)))
     for k, parameter in enumerate(found.fit.parametrisation.calibration):
         if isinstance(parameter, SharedDelay):
             continue
         theta, std = float(found.fit.theta[k]), float(found.fit.std[k])
         value = parameter.at(theta)
+        scale = abs(value + parameter.offset) * parameter.std
         result.append(
             Recalibrated(
-                parameter.name, parameter.value, value, abs(value + parameter.offset) * parameter.std * std,
-                parameter.unit, parameter.std, theta / std if std > 0.0 else 0.0,
+                parameter.name, parameter.value, value, scale * std, parameter.unit, parameter.std,
+                theta / std if std > 0.0 else 0.0, scale * float(shared[k]),
             )
         )  # fmt: skip
     return tuple(result)

@@ -22,12 +22,20 @@ _FEWEST_TO_COMPARE = 4
 
 @dataclass(frozen=True)
 class Estimate:
-    """One estimate: of which unit, at which setting (mounting, day, repeat), value and standard uncertainty."""
+    """One estimate: of which unit, at which setting (mounting, day, repeat), value and standard uncertainty.
+
+    Attributes:
+        unit, setting: of the recording.
+        value: the estimate.
+        std: its standard uncertainty without what all units share.
+        shared_std: what all units share: it moves them all alike, so no difference between them has it.
+    """
 
     unit: str
     setting: str
     value: float
     std: float
+    shared_std: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +68,7 @@ class Components:
     """What a group of units says of a quantity.
 
     Attributes:
-        mean, mean_std: of the units' distribution.
+        mean, mean_std: of the units' distribution; what all units share is part of the uncertainty of the mean alone.
         between_std: standard deviation between units beyond what their estimates scatter.
         within_std: standard deviation between settings of one unit beyond their ±; None without repeated settings.
         heterogeneity_p: probability of as much scatter between units if they were alike (Cochran's Q).
@@ -118,7 +126,7 @@ def components(estimates: Sequence[Estimate], parameters: int = 1) -> Components
     q = float(np.sum((means - plain_mean) ** 2 / variances))
     return Components(
         mean=mean,
-        mean_std=float(np.sqrt(variance)),
+        mean_std=float(np.sqrt(variance + np.mean([each.shared_std**2 for each in estimates]))),
         between_std=float(np.sqrt(between)),
         within_std=float(np.sqrt(within)) if repeated else None,
         heterogeneity_p=float(chi2.sf(q, means.size - 1)),

@@ -9,11 +9,13 @@ from typing import Any
 
 from nmt_core.text.number_words import value_text
 from nmt_diagnose.effects.location import effect_words
-from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_diagnose.ledger.diagnosis import Diagnosis, Value, Verdict
 from nmt_diagnose.say.sentences import detail_words
 from nmt_diagnose.units.random_effects import Components, Estimate, components
 
 _ALIKE = 0.05
+# Of a standard uncertainty, that no two units share.
+_LEAST_ALONE = 0.01
 _NAMED = {"none": "no effect is missing", "unknown": "the cause is unknown"}
 _WITHIN = {"mounting": "re-mounting", "day": "one day to another", "repeat": "one repeat to another", "": "settings"}
 
@@ -90,11 +92,11 @@ def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
                     True,
                     0.0,
                     each,
-                    value.value,
-                    value.std,
+                    value,
                 )
         for row in diagnosis.calibration:
-            _take(found, row.name, row.unit, False, row.start, each, row.to, row.std)
+            to = Value(row.to, row.std, row.unit, row.shared_std)
+            _take(found, row.name, row.unit, False, row.start, each, to)
     compared = {name: entry for name, entry in found.items() if len({estimate.unit for estimate in entry[3]}) > 1}
     quantities = [
         Quantity(name, unit, of_effect, initial, tuple(estimates), components(estimates, len(compared)))
@@ -123,10 +125,11 @@ def _label(diagnosis: Diagnosis) -> str:
 
 def _take(
     found: dict[str, tuple[str, bool, float, list[Estimate]]], name: str, unit: str, of_effect: bool, initial: float,
-    each: UnitDiagnosis, value: float, std: float,
+    each: UnitDiagnosis, value: Value,
 ) -> None:  # fmt: skip
-    if math.isfinite(value) and math.isfinite(std) and std > 0.0:
-        estimate = Estimate(each.unit, each.setting, value, std)
+    if math.isfinite(value.value) and math.isfinite(value.std) and value.std > 0.0:
+        alone = math.sqrt(max(value.std**2 - value.shared_std**2, (_LEAST_ALONE * value.std) ** 2))
+        estimate = Estimate(each.unit, each.setting, value.value, alone, value.shared_std)
         found.setdefault(name, (unit, of_effect, initial, []))[3].append(estimate)
 
 

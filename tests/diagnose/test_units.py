@@ -115,10 +115,10 @@ def test_what_all_units_share_hides_no_odd_one_and_widens_no_band():
 def test_what_is_shared_is_what_a_wrong_mass_of_the_model_does_to_all_units():
     """The backbone says k/m alone: of two models whose masses differ by a tolerance, both springs differ by it."""
     rig = one_mode_rig()
-    given = diagnosed(rig, backbone(4, 3e9))
-    tolerance = next(row.prior_std for row in given.calibration if "mass" in row.name)
+    light = diagnosed(rig, backbone(4, 3e9))
+    tolerance = next(row.prior_std for row in light.calibration if "mass" in row.name)
     moved = diagnosed(replaced_mode(rig, rig.structure.modes[0].modal_mass_kg * (1.0 + tolerance)), backbone(4, 3e9))
-    spring, other = (found.ranking[0].parameters["k"] for found in (given, moved))
+    spring, other = (found.ranking[0].parameters["k"] for found in (light, moved))
     assert spring.shared_std == pytest.approx(other.value - spring.value, rel=0.15)
     assert spring.shared_std > 0.6 * spring.std
 

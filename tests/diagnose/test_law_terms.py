@@ -49,6 +49,18 @@ def test_a_slider_dissipates_four_times_its_slip_force_and_way() -> None:
     assert loss == pytest.approx(4.0 * slip * (A - slip), rel=1e-2)
 
 
+def test_memory_of_a_record_begins_as_in_a_model_at_rest() -> None:
+    """Virgin loading from zero: a slider by its spring up to its slip, bristles by Dahl's exponential."""
+    x = np.linspace(0.0, A, 400)[np.newaxis]
+    v = np.full_like(x, A)
+    slip = 0.4 * A
+    assert Term("slider", slip).force(x, v, closed=False) == pytest.approx(np.minimum(x, slip), abs=1e-9 * A)
+    expected = slip * (1.0 - np.exp(-x / slip))
+    assert Term("bristle", slip).force(x, v, closed=False) == pytest.approx(expected, abs=1e-6 * A)
+    slack = Term("slack slider", slip, 0.5).force(x, v, closed=False)
+    assert slack == pytest.approx(np.clip(x - 0.5 * slip, 0.0, 0.5 * slip), abs=1e-9 * A)
+
+
 @pytest.mark.parametrize("reach", [0.05 * A, 0.7 * A, 20.0 * A])
 def test_bristles_have_the_loop_of_their_closed_form(reach: float) -> None:
     """dz/dx = 1 − z / reach one way and its mirror the other: z = reach tanh(A / reach) at the ends (Dahl 1976)."""

@@ -106,6 +106,23 @@ def test_terms_side_by_side_are_told_apart(tmp_path: Path, words: str) -> None:
     assert min(reading.closed_inside, reading.closed_above) > 0.95
 
 
+def test_the_shape_of_a_law_holds_along_a_smaller_motion(tmp_path: Path) -> None:
+    """A slider whose spring stiffens: at half of the motion most of it lies where a straight spring is wrong."""
+
+    def stiffening(x: FloatArray) -> FloatArray:
+        z = jenkins(x, 1.0, 0.004)
+        return 10.0 * z + 6e5 * z**3
+
+    reading = reading_of(tmp_path, stiffening(X))
+    assert reading.is_stated
+    (law,) = reading.laws
+    assert law.family == "friction with pinched loops"
+    x, v = (0.35 * part[np.newaxis] for part in (X, V))
+    force = sum(term.coefficient * term.of_unit_strength.force(x, v, closed=False)[0] for term in law.terms)
+    truth = stiffening(x[0])
+    assert np.std(force - truth) < 0.02 * np.std(truth)
+
+
 def test_laws_that_one_narrow_sine_does_not_tell_apart_are_named_with_a_motion_that_does(tmp_path: Path) -> None:
     turn = 2.0 * np.pi * 1.3 * TIME
     size = 0.012 * (1.0 + 0.01 * np.sin(0.3 * TIME))

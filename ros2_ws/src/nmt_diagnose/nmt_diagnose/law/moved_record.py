@@ -108,8 +108,8 @@ class MovedRecord:
         return np.split(self.measured - values, np.cumsum([part.size for part in self.parts])[:-1])
 
     def force(self, term: Term) -> FloatArray:
-        """Force of a term of unit strength at all samples, N, (n,)."""
-        force: FloatArray = term.force(self.x, self.v)[0]
+        """Force of a term of unit strength at all samples, N, (n,); its memory begins as that of the file does."""
+        force: FloatArray = term.force(self.x, self.v, closed=False)[0]
         return force * (self.channels[term.by][0] - term.about) if term.by else force
 
 

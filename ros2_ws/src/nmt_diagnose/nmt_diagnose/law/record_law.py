@@ -17,10 +17,9 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_elements import with_laws
-from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share, nearly_as_well
-from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed
+from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed, words_of
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -61,9 +60,7 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
     tried = search.found()
     if not tried:
         return reading("no local force explains it")
-    least = min(law.score for law in tried) * limits.alike_score_ratio
-    best = min((law for law in tried if law.score <= least), key=lambda law: (len(law.terms), law.score))
-    best = search.shortened(best)
+    best = search.fewest(tried)
     top = [records.count - 2, records.count - 1]
     above = closed_share(
         search.problem.predicted(records.columns([]), signed([]), top),
@@ -125,7 +122,10 @@ def parting_motion(records: MovedRecords, best: RecordLaw, others: Sequence[Reco
         parts = []
         for record in records.records:
             x, v = size * record.x, size * rate * record.v
-            forces = [sum((c * term.force(x, v)[0] for term, c in law.terms), np.zeros(x.shape[1])) for law in laws]
+            forces = [
+                sum((c * term.force(x, v, closed=False)[0] for term, c in law.terms), np.zeros(x.shape[1]))
+                for law in laws
+            ]
             parts.append([float(np.std(force - forces[0])) for force in forces[1:]] + [float(np.std(forces[0]))])
         *gaps, of_best = np.linalg.norm(parts, axis=0)
         return float(max(gaps) / of_best)
@@ -150,18 +150,6 @@ def _law_terms(best: RecordLaw, covariance: FloatArray) -> tuple[LawTerm, ...]:
         LawTerm(t.kind, tuple(p for p in (float(t.first), float(t.second)) if p), float(c), float(s), t.unit, t.by)
         for t, c, s in zip(terms, values, stds, strict=True)
     )
-
-
-def words_of(records: MovedRecords, law: RecordLaw) -> str:
-    """Families of a law in words, that of the largest force first."""
-    sizes: dict[str, float] = {}
-    for block in law.strengths:
-        force = records.columns([term for term, _ in block]) @ np.array([value for _, value in block])
-        words = family([pair for pair in block if not pair[0].by])
-        words += f" that follows the {block[-1][0].by}" if block[-1][0].by else ""
-        sizes[words] = max(sizes.get(words, 0.0), float(np.linalg.norm(force)))
-    names = sorted(sizes, key=lambda words: -sizes[words])
-    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def _loops(records: MovedRecords, best: RecordLaw) -> tuple[ForceLoop, ...]:

@@ -18,6 +18,7 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
 from nmt_diagnose.law.law_search import best_moved, between
+from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.moved_record import MovedRecords, constant_of
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import POSITION
@@ -48,6 +49,11 @@ class RecordLaw:
         values = iter(self.fit.coefficients)
         pairs = [[(term, float(next(values))) for term in block.terms] for block in self.blocks]
         return tuple(tuple(pair for pair in block if pair[1] != 0.0) for block in pairs)
+
+    @property
+    def unwritten(self) -> bool:
+        """Whether no element has the force of one of its terms."""
+        return any(term.section is None for term, _ in self.terms)
 
     @property
     def acts(self) -> bool:
@@ -103,18 +109,19 @@ class RecordSearch:
     def found(self) -> list[RecordLaw]:
         """Laws of one block and more, the best of each number of blocks among them."""
         families = blocks_of_records(self.records.x, self.records.v)
-        result, kept = list[RecordLaw](), [self.null]
+        result, kept, ratio = list[RecordLaw](), [self.null], THRESHOLDS.law.alike_score_ratio
         for _ in range(_BLOCKS):
-            grown = [law for one in kept for law in self._beside(one, list(families.values()))]
-            grown.sort(key=lambda law: law.score)
-            if (
-                not grown
-                or kept[0].score <= THRESHOLDS.law.second_from_score
-                or grown[0].score * THRESHOLDS.law.alike_score_ratio > kept[0].score
-            ):
-                return result or grown
-            kept = sorted((self.polished(law) for law in grown[:_KEPT]), key=lambda law: law.score)
-            result += kept + grown[_KEPT:]
+            grown = [(one, law) for one in kept for law in self._beside(one, list(families.values()))]
+            others = sorted((law for _, law in grown), key=lambda law: law.score)
+            # A block is told beside those that it stands with, not beside another law.
+            told = sorted((law for one, law in grown if law.score * ratio <= one.score), key=lambda law: law.score)
+            if not told or kept[0].score <= THRESHOLDS.law.second_from_score:
+                return result or others
+            near = [law for law in told[1:] if law.score <= told[0].score * ratio]
+            # What is gone on from is the best law and the shortest that is alike.
+            goes_on = [told[0], min(near, key=lambda law: (len(law.terms), law.score))] if near else told[:_KEPT]
+            kept = sorted((self.polished(law) for law in goes_on), key=lambda law: law.score)
+            result += kept + [law for law in others if all(law is not other for other in goes_on)]
             kept = [self._weighed(kept[0]), *(self.law(law.blocks) for law in kept[1:])]
         return result
 
@@ -131,10 +138,17 @@ class RecordSearch:
             block = members[number]
             if block.contact and len(members) > 1:
                 block = between(members, number, lambda other: self.cost((*law.blocks, other)))
-            larger = self.law((*law.blocks, self.refined(block, law.blocks)))
+            larger = self._acting(self.law((*law.blocks, self.refined(block, law.blocks))))
             if larger.acts:
                 result.append(larger)
         return result + self._following(law)
+
+    def _acting(self, law: RecordLaw) -> RecordLaw:
+        """The law whose last block, a grid, has only the terms that act: others would fit the noise of parts."""
+        block, strengths = law.blocks[-1], law.strengths[-1]
+        if block.refined or not 0 < len(strengths) < len(block.terms):
+            return law
+        return self.law((*law.blocks[:-1], replace(block, terms=tuple(term for term, _ in strengths))))
 
     def _following(self, law: RecordLaw) -> list[RecordLaw]:
         """The law with one of its blocks following a measured channel, as far as its strength stays passive."""
@@ -202,9 +216,28 @@ class RecordSearch:
         values = law.fit.coefficients[start : start + len(block.terms)]
         return np.asarray(self.records.columns(block.terms) @ values)
 
-    def shortened(self, law: RecordLaw) -> RecordLaw:
-        """The law without the blocks and terms that parts left out are told as well without."""
-        most = law.score * THRESHOLDS.law.alike_score_ratio**0.5
+    def fewest(self, tried: Sequence[RecordLaw]) -> RecordLaw:
+        """Of the laws whose score is near the best the family of fewest terms, in the shape that is told best.
+
+        What a file can hold comes before what it cannot.
+
+        A family is asked for by a tenth of the score. Terms that are no family of their own are its shape, and their
+        number hangs on the grid that they come from: they stay where parts left out are told any better.
+        """
+        ratio = THRESHOLDS.law.alike_score_ratio
+        first = min(tried, key=lambda law: law.score)
+        # Scores compare where rows count alike.
+        best = self._weighed(first).score
+        near = [self.law(law.blocks) for law in tried if law.score <= first.score * ratio]
+        paths = [self._shortened(law, max(law.score, best * ratio**0.5)) for law in near]
+        least = ratio * min(law.score for path in paths for law in path)
+        within = [kept for path in paths if (kept := [law for law in path if law.score <= least])]
+        path = min(within, key=lambda laws: (laws[-1].unwritten, len(laws[-1].terms), laws[-1].score))
+        return self._weighed(in_shape(path, [words_of(self.records, law) for law in path]))
+
+    def _shortened(self, law: RecordLaw, most: float) -> list[RecordLaw]:
+        """The law with ever fewer blocks and terms, up to a score."""
+        path = [law]
         while True:
             fewer = [
                 self.law((*law.blocks[:k], *shorter, *law.blocks[k + 1 :]))
@@ -213,8 +246,33 @@ class RecordSearch:
             ]
             fewer = [other for other in fewer if other.score <= most and other.terms and other.acts]
             if not fewer:
-                return self._weighed(law)
+                return path
             law = min(fewer, key=lambda other: (len(other.terms), other.score))
+            path.append(law)
+
+
+def in_shape(path: Sequence[RecordLaw], words: Sequence[str]) -> RecordLaw:
+    """Of ever shorter laws the shortest that has the family of the last and is told as well as the first.
+
+    Args:
+        path: the laws.
+        words: their families.
+    """
+    most = path[0].score * THRESHOLDS.law.shape_score_ratio
+    alike = [law for law, its in zip(path, words, strict=True) if its == words[-1] and law.score <= most]
+    return (alike or [path[-1]])[-1]
+
+
+def words_of(records: MovedRecords, law: RecordLaw) -> str:
+    """Families of a law in words, that of the largest force first."""
+    sizes: dict[str, float] = {}
+    for block in law.strengths:
+        force = records.columns([term for term, _ in block]) @ np.array([value for _, value in block])
+        words = family([pair for pair in block if not pair[0].by])
+        words += f" that follows the {block[-1][0].by}" if block[-1][0].by else ""
+        sizes[words] = max(sizes.get(words, 0.0), float(np.linalg.norm(force)))
+    names = sorted(sizes, key=lambda words: -sizes[words])
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
 
 
 def _stays_passive(law: RecordLaw, number: int, half: float) -> bool:

@@ -113,15 +113,15 @@ class Term:
             return {}
         return dict(zip(section.own_keys(), form.values(strength, self.first, self.second), strict=True))
 
-    def force(self, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Force (…, SAMPLES) of a unit coefficient along one period of displacement (m) and velocity (m/s)."""
+    def force(self, x: FloatArray, v: FloatArray, closed: bool = True) -> FloatArray:
+        """Force (…, n) of a unit coefficient along displacement (m) and velocity (m/s); see :func:`force_of`."""
         if self.form.force is not None:
             return np.asarray(self.form.force(x, v, self.first, self.second))
         assert self.section is not None
         element = self.section.element(_ALONG, *self.values(1.0).values())
         # A stop of the other side is the same one along the other direction.
         side = -1.0 if self.kind == "stop" and self.second < 0.0 else 1.0
-        return side * force_of(element, side * x, side * v)
+        return side * force_of(element, side * x, side * v, closed)
 
 
 def _form(kind: str, first: float) -> tuple[LawForm, type[ElementSection] | None]:
@@ -132,74 +132,78 @@ def _form(kind: str, first: float) -> tuple[LawForm, type[ElementSection] | None
     raise ValueError(f"there is no term of kind {kind} with {first:g}")
 
 
-def force_of(element: Any, x: FloatArray, v: FloatArray) -> FloatArray:
-    """Force of an element along one period of displacement (m) and velocity (m/s), on its closed loop, (…, n).
+def force_of(element: Any, x: FloatArray, v: FloatArray, closed: bool = True) -> FloatArray:
+    """Force of an element along displacement (m) and velocity (m/s), (…, n).
 
     Args:
         element: sliders, with slack too, contacts, bristles, or a ``response`` that takes arrays.
+        x, v: one period, or a record.
+        closed: whether memory is that of a loop that closes; else it begins as in a model at rest at zero.
     """
     if isinstance(element, LuGre):
-        return element.bristle_stiffness * bristle_force(x, element.sliding_force(v) / element.bristle_stiffness)
+        reach = element.sliding_force(v) / element.bristle_stiffness
+        return element.bristle_stiffness * bristle_force(x, reach, closed)
     if isinstance(element, SlackSlider):
-        return element.force(slider_force(x, element.reach))
+        return element.force(slider_force(x, element.reach, closed))
     if element.sliders:
-        return np.asarray(sum(k * slider_force(x, slip / k) for k, slip in element.sliders))
+        return np.asarray(sum(k * slider_force(x, slip / k, closed) for k, slip in element.sliders))
     if element.contacts:
         return np.asarray(sum(side * k * np.maximum(side * x - gap, 0.0) for k, gap, side in element.contacts))
     return np.asarray(element.response(*element.values, x, v)[0])
 
 
-def slider_force(x: FloatArray, slip: float) -> FloatArray:
-    """Force of a spring of 1 N/m in series with a slider that yields at a displacement, on its closed loop.
+def slider_force(x: FloatArray, slip: float, closed: bool = True) -> FloatArray:
+    """Force of a spring of 1 N/m in series with a slider that yields at a displacement.
 
     Args:
-        x: one period of the displacement, m, (…, n).
+        x: displacement, m, (…, n).
         slip: slip displacement, m.
+        closed: as of :func:`force_of`.
     """
     flat = np.ascontiguousarray(x.reshape(-1, x.shape[-1]))
-    loops: FloatArray = _slider_loops(flat, slip)
+    # The second period is the closed loop: a slider forgets its start at the first full slip.
+    loops: FloatArray = _slider_loops(flat, slip, 2 if closed else 1)
     return loops.reshape(x.shape)
 
 
 @njit(cache=True)
-def _slider_loops(x: FloatArray, slip: float) -> FloatArray:
-    """Spring force behind the slider, row by row."""
+def _slider_loops(x: FloatArray, slip: float, turns: int) -> FloatArray:
+    """Spring force behind the slider along the last of some turns, row by row."""
     result = np.empty_like(x)
     for row in range(x.shape[0]):
         at = 0.0
-        # The second period is the closed loop: a slider forgets its start at the first full slip.
-        for turn in range(2):
+        for _ in range(turns):
             for k in range(x.shape[1]):
                 at = min(max(at, x[row, k] - slip), x[row, k] + slip)
-                if turn == 1:
-                    result[row, k] = x[row, k] - at
+                result[row, k] = x[row, k] - at
     return result
 
 
-def bristle_force(x: FloatArray, reach: FloatArray) -> FloatArray:
-    """Force z of bristles of 1 N/m on its closed loop: dz/dx = 1 − z sgn(v) / reach.
+def bristle_force(x: FloatArray, reach: FloatArray, closed: bool = True) -> FloatArray:
+    """Force z of bristles of 1 N/m: dz/dx = 1 − z sgn(v) / reach.
 
     Constant reach is Dahl's law, one that falls with speed the bristles of Canudas de Wit et al. (IEEE Trans. Automat.
     Contr. 40, 1995) without their damping. Between samples the reach is constant; the loop is affine in its start.
 
     Args:
-        x: one period of the displacement, m, (…, n).
+        x: displacement, m, (…, n).
         reach: deflection of the bristles while they slide, m, (…, n).
+        closed: as of :func:`force_of`.
     """
     flat = (np.ascontiguousarray(part.reshape(-1, x.shape[-1])) for part in (x, reach))
-    loops: FloatArray = _bristle_loops(*flat)
+    loops: FloatArray = _bristle_loops(*flat, 2 if closed else 1)
     return loops.reshape(x.shape)
 
 
 @njit(cache=True)
-def _bristle_loops(x: FloatArray, reach: FloatArray) -> FloatArray:
+def _bristle_loops(x: FloatArray, reach: FloatArray, turns: int) -> FloatArray:
     """Deflection of the bristles, row by row."""
     result = np.empty_like(x)
     count = x.shape[1]
     for row in range(x.shape[0]):
         at, kept = 0.0, 1.0
         # A period from zero and what it keeps of a start give the start that a period comes back to.
-        for turn in range(2):
+        for turn in range(turns):
             if turn == 1:
                 at = at / (1.0 - kept) if kept < 1.0 else 0.0
             for k in range(count):

@@ -69,6 +69,10 @@ class LawThresholds:
         1.12, "1", "Score over the best up to which the law of fewest elements is taken.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
+    shape_score_ratio: float = threshold(
+        1.01, "1", "Score over that of a longer law of the same family up to which a record's law is the shorter one.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
     place_score_ratio: float = threshold(
         1.3, "1", "Score over the best up to which places are not told apart.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",

@@ -205,7 +205,29 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "mass_factor": "factor on the mass matrix",
         "stiffness_factor": "factor on the stiffness matrix",
         "damping_factor": "factor on the damping matrix",
+        "frequency_factors": "factors on the frequencies of the undamped modes, lowest first; 1 for all above",
+        "regions": "parts of the model that may be off, by name",
         "source": "where the matrices were read from; written by the bench",
+    },
+    "RegionSection": {
+        "nodes": "nodes of the region",
+        "within": "two opposite corners of a box whose nodes belong to it, too, in the units of the file",
+        "file": "stiffness K and mass M of its elements alone, as of the whole model; left out = no stiffness, and for "
+        "its mass the block of the rows of its nodes",
+        "held": "it is a support: the model has its nodes free, and the bench holds them",
+        "stiffness_factor": "factor on its stiffness",
+        "mass_factor": "factor on its mass",
+        "compliance_m_n": "of a support: of all springs together in each direction, spread evenly over its nodes; 0 = "
+        "rigid",
+        "rotational_compliance_rad_nm": "the same of its rotations, where the nodes have them",
+        "stiffness_std": "relative standard uncertainty of its stiffness: within it a diagnosis re-fits the factor; 0 "
+        "= an error of it is an effect",
+        "mass_std": "the same of its mass",
+        "stiffness_n_m": "its stiffness in the reduced coordinates; written by the bench",
+        "mass_kg": "its mass; written by the bench",
+        "moved_kg": "mass of the region in rigid motion; written by the bench",
+        "translation_rows": "coordinates that it holds as a support; written by the bench",
+        "rotation_rows": "the same of rotations; written by the bench",
     },
     "MatrixPointSection": {
         "point": "point number",

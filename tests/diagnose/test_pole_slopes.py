@@ -8,7 +8,7 @@ from diagnose.predicted_tests import chain, noise_test
 from diagnose.test_structure_kinds import matrices, modal
 from scipy.linalg import solve_triangular
 
-from nmt_diagnose.effects.calibration import calibration_parameters, mode_dampings
+from nmt_diagnose.effects.calibration import calibration_parameters, mode_factors
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.low_level_modes import LowLevelModes, Modes
@@ -74,7 +74,7 @@ def shifted(rig: Rig, test, number: int) -> LowLevelModes:
 
 
 def parametrisations(rig: Rig, test) -> list[Parametrisation]:
-    parameters = (*calibration_parameters(rig), *mode_dampings(rig, 5.0, 1000.0))
+    parameters = (*calibration_parameters(rig), *mode_factors(rig, 5.0, 1000.0))
     added = [c for c in candidates(rig, operating_range(rig, [test])) if c.label.startswith(LINEAR)]
     return [Parametrisation(rig, parameters), *(Parametrisation(rig, (), (candidate,)) for candidate in added)]
 

@@ -24,6 +24,7 @@ from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range, receptances
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_rig.model.packed_matrix import packed
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_structure
 
@@ -79,6 +80,8 @@ WITHOUT_FRICTION = {
     "microslip@1-2": (6.0, math.log(0.5), 0.0),
     "microslip@2": (3.0, math.log(0.4), math.log(0.6)),
 }
+# The chain by its matrices, with regions: the spring between its masses, the second mass.
+ON_THE_MATRICES = {"local_stiffness@link": (3.0,), "local_mass@tip": (-3.0,)}
 # What no steady state of a channel shows: means over windows of a line of unknown phase, and the loop's own settings.
 ELSEWHERE = {"mains_hum", "phase_offset", "loop_latency"}
 # A resonance that the chain lacks: m, f and ζ of a mass beside the model's, and of a part of it.
@@ -94,9 +97,28 @@ def the_beam() -> Rig:
     return load_rig("beam", ["watchdog.blocks=0", "structure.stiffness_damping_s=1e-3"])
 
 
+def by_matrices() -> Rig:
+    structure = build_structure(chain(local_elements=[]))
+    link = -structure.stiffness[0, 1] * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    tip = np.diag([0.0, structure.mass[1, 1]])
+    section = {
+        "kind": "matrices", "points_at": [{"point": 1, "row": 0}, {"point": 2, "row": 1}],
+        "mass_kg": structure.mass.tolist(), "stiffness_n_m": structure.stiffness.tolist(),
+        "damping_ns_m": structure.damping.tolist(),
+        "regions": {
+            "link": {"nodes": [1, 2], "stiffness_n_m": packed(link)},
+            "tip": {"nodes": [2], "mass_kg": packed(tip), "moved_kg": float(tip[1, 1])},
+        },
+    }  # fmt: skip
+    return chain(structure=section)
+
+
 @cache
 def surroundings(name: str) -> tuple[Rig, OperatingRange]:
-    rig = {"chain": chain, "beam": the_beam, "plain chain": lambda: chain(local_elements=[])}[name]()
+    models = {
+        "chain": chain, "beam": the_beam, "plain chain": lambda: chain(local_elements=[]), "matrices": by_matrices,
+    }  # fmt: skip
+    rig = models[name]()
     drive, hz = (BEAM_DRIVE, BEAM_HZ) if name == "beam" else (CHAIN_DRIVE, 24.9)
     test, _ = locked(rig, [level(drive, hz)], "x2" if name == "beam" else "x1")
     return rig, operating_range(rig, [test])
@@ -158,6 +180,14 @@ def test_an_effect_on_the_beam(label):
     compare(changed, "x2", BEAM_DRIVE, BEAM_HZ, 3.0, 2e-4)
 
 
+@pytest.mark.parametrize("label", ON_THE_MATRICES)
+def test_an_effect_of_a_region(label):
+    rig, found = candidate("matrices", label)
+    changed = Parametrisation(rig, (), (found,)).rig(np.array(ON_THE_MATRICES[label]))
+    assert changed != rig
+    compare(changed, "x1", CHAIN_DRIVE, CHAIN_HZ, 3.0, 2e-4)
+
+
 @pytest.mark.parametrize("label", WITHOUT_FRICTION)
 def test_a_joint_in_a_model_without_friction(label):
     """It takes its stiffness from the model: stuck, it changes nothing; slipping, the plant moves as predicted."""
@@ -201,7 +231,7 @@ def test_air_gives_no_more_drag_than_its_density_and_the_area_allow():
 
 
 def test_every_effect_is_compared():
-    compared = {label.partition("@")[0] for label in (*ON_THE_CHAIN, *ON_THE_BEAM)} | {"missing_mode"}
+    compared = {label.partition("@")[0] for label in (*ON_THE_CHAIN, *ON_THE_BEAM, *ON_THE_MATRICES)} | {"missing_mode"}
     assert compared | ELSEWHERE == {effect.name for effect in library()}
 
 

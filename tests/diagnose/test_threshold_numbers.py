@@ -15,7 +15,7 @@ from nmt_core.key_units import unit_of_key
 from nmt_core.messages.blocks import Quantity
 from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.chain.chain_columns import distorted
-from nmt_diagnose.effects.calibration import mode_dampings
+from nmt_diagnose.effects.calibration import mode_factors
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.locked_windows.reading import phase_lean
@@ -92,8 +92,8 @@ def test_modes_near_the_band_of_the_tests_have_dampings_of_their_own() -> None:
     structure = build_structure(rig)
     squares = eigh(structure.stiffness, structure.mass, eigvals_only=True)
     lowest = math.sqrt(float(squares[0])) / (2.0 * math.pi)
-    assert mode_dampings(rig, 1.25 * lowest, 2.0 * lowest)[0].mode == 0
-    assert not any(each.mode == 0 for each in mode_dampings(rig, 1.35 * lowest, 8.0 * lowest))
+    assert mode_factors(rig, 1.25 * lowest, 2.0 * lowest)[0].mode == 0
+    assert not any(each.mode == 0 for each in mode_factors(rig, 1.35 * lowest, 8.0 * lowest))
 
 
 def sections() -> list[type[ElementSection]]:

@@ -12,7 +12,7 @@ _OTHER = {
     "_n_sp_mp": "N sᵖ/mᵖ", "_n_sa_m": "N sᵅ/m", "newton_per_volt": "N/V", "_per_s": "1/s", "_per_m": "1/m",
     "_per_m2": "1/m²",
 }  # fmt: skip
-_QUOTIENT = re.compile(r"_(n|ns|ns2|nm|kg|m|v)_(m|s|rad|a|n)([2-9]?)$")
+_QUOTIENT = re.compile(r"_(n|ns|ns2|nm|kg|m|v|rad)_(m|s|rad|a|nm|n)([2-9]?)$")
 _SINGLE = re.compile(r"_(n|kg|m|s|v|pa|hz|ohm|h)$")
 _WORD = re.compile(r"[A-Za-zΩµ]+")
 _TURNED = {"m": "rad", "N": "N·m", "kg": "kg·m²"}

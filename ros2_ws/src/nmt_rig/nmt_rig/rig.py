@@ -50,6 +50,7 @@ from nmt_rig.structure_sections import MatrixPointSection as MatrixPointSection
 from nmt_rig.structure_sections import ModalSection as ModalSection
 from nmt_rig.structure_sections import ModeSection as ModeSection
 from nmt_rig.structure_sections import OscillatorSection as OscillatorSection
+from nmt_rig.structure_sections import RegionSection as RegionSection
 from nmt_rig.structure_sections import ResidualSection as ResidualSection
 from nmt_rig.structure_sections import StructureSection as StructureSection
 from nmt_rig.structure_sections import point_words

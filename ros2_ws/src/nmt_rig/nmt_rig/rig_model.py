@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from nmt_core.errors import BenchError
 from nmt_rig.model.assembly import ElectromechanicalSystem, assemble
@@ -14,6 +15,7 @@ from nmt_rig.model.local_elements.dampers import LinearDamper, LinearDamperSecti
 from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.local_elements.springs import LinearSpring, LinearSpringSection
 from nmt_rig.model.modal_structure import Mode, modal_structure
+from nmt_rig.model.packed_matrix import unpacked
 from nmt_rig.model.shaker import ElectrodynamicShaker
 from nmt_rig.model.shaking_table import ShakingTable, effective_mass
 from nmt_rig.model.structure import Structure
@@ -31,11 +33,13 @@ def build_structure(rig: Rig) -> Structure:
 
 
 def completed_structure(structure: Structure, rig: Rig) -> Structure:
-    """The structure of `build_plain_structure` with the damping that its section says mode by mode, and oscillators.
+    """The structure of `build_plain_structure` with what its section says mode by mode, and oscillators.
 
     These have dampers of their own.
     """
     s = rig.structure
+    if isinstance(s, MatricesSection) and s.frequency_factors:
+        structure = structure.with_frequency_factors(s.frequency_factors)
     if s.damping_factors:
         structure = structure.with_damping_factors(s.damping_factors)
     if s.loss_factor:
@@ -47,7 +51,7 @@ def completed_structure(structure: Structure, rig: Rig) -> Structure:
 
 
 def build_plain_structure(rig: Rig) -> Structure:
-    """Structure of a rig as `build_structure` without damping factors, loss factor and oscillators; errors as there."""
+    """Structure of a rig as `build_structure` without what is said of modes and oscillators; errors as there."""
     s = rig.structure
     try:
         structure = _bare_structure(s)
@@ -118,17 +122,19 @@ def _bare_structure(s: BeamSection | ChainSection | ModalSection | MatricesSecti
 
 def _matrix_structure(s: MatricesSection) -> Structure:
     mass, stiffness = np.array(s.mass_kg), np.array(s.stiffness_n_m)
+    kept = _with_regions(s, mass, stiffness)
+    mass, stiffness = mass[np.ix_(kept, kept)], stiffness[np.ix_(kept, kept)]
     damping = np.zeros_like(mass)
     if s.damping_ns_m is not None:
-        damping = np.array(s.damping_ns_m)
+        damping = np.array(s.damping_ns_m)[np.ix_(kept, kept)]
     elif s.damping_ratios is not None:
         damping = modal_damping_matrix(mass, stiffness, s.damping_ratios)
     # A load that was given is of the mass as given; both grow together.
     load = None
     if s.base_load_kg is not None:
-        load = s.mass_factor * np.array(s.base_load_kg)
+        load = s.mass_factor * np.array(s.base_load_kg)[kept]
     elif s.base_vector is not None:
-        load = s.mass_factor * (mass @ np.array(s.base_vector))
+        load = s.mass_factor * (mass @ np.array(s.base_vector)[kept])
     motion = {} if s.base_vector is None else {entry.point: s.base_vector[entry.row] for entry in s.points_at}
     return Structure(
         s.mass_factor * mass,
@@ -139,6 +145,28 @@ def _matrix_structure(s: MatricesSection) -> Structure:
         base_load=load,
         base_motion=motion,
     )
+
+
+def _with_regions(s: MatricesSection, mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> list[int]:
+    """Change mass and stiffness to what the regions say; rows that are left, all but those of ideal supports.
+
+    Points come first among the rows, so that their numbers stay.
+    """
+    ideal: set[int] = set()
+    for region in s.regions.values():
+        if region.stiffness_factor != 1.0:
+            stiffness += (region.stiffness_factor - 1.0) * unpacked(str(region.stiffness_n_m))
+        if region.mass_factor != 1.0:
+            mass += (region.mass_factor - 1.0) * unpacked(str(region.mass_kg))
+        for rows, compliance in (
+            (region.translation_rows, region.compliance_m_n),
+            (region.rotation_rows, region.rotational_compliance_rad_nm),
+        ):
+            if compliance:
+                stiffness[rows, rows] += 1.0 / (compliance * len(region.nodes))
+            else:
+                ideal.update(rows)
+    return [row for row in range(mass.shape[0]) if row not in ideal]
 
 
 def build_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:

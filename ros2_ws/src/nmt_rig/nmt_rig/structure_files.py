@@ -31,7 +31,7 @@ _LARGEST_CONDENSED = 2000
 # The reduction of smaller files takes less time than a node's start.
 _SMALL_FILE = 2**18
 # Changes where the reduction gives other numbers for the same files.
-_REDUCTION = "2"
+_REDUCTION = "3"
 _FILE_KEYS = ("file", "mass_file", "stiffness_file", "damping_file", "rows_file", "nodes_file")
 _DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _MATRIX_KEYS = ("mass_kg", "stiffness_n_m", "damping_ns_m")
@@ -41,7 +41,7 @@ def names_files(key: str) -> bool:
     """Whether an override's key says which files or reduction a structure is read with, or replaces the structure."""
     first, _, rest = key.partition(".")
     return first == "structure" and rest in (
-        "", *_FILE_KEYS, "units", "modes", "direction", "points_at", "base_vector"
+        "", *_FILE_KEYS, "units", "modes", "direction", "points_at", "base_vector", "regions"
     )  # fmt: skip
 
 
@@ -179,13 +179,15 @@ def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path
     named = {name: _path(document, structure, name, folder) for name in _FILE_KEYS}
     paths = {name: path for name, path in named.items() if path is not None}
     entries = _point_entries(document, structure.get("points_at"), bool(paths))
-    source = _source(*paths.values())
-    stored = _stored_reduction(structure, paths, entries)
+    source = _source(*paths.values(), *(path for path in region_paths(structure, folder) if path.is_file()))
+    stored = _stored_reduction(structure, paths, entries, folder)
     found = _read_reduction(stored, len(entries))
     if not found:
         try:
             model = _model(document, structure, key, paths)
-            found = _reduced(model, entries, structure)
+            found = _reduced(model, entries, structure, folder)
+        except OSError as error:
+            raise BenchError(f"{place}: {error.filename} cannot be read: {error.strerror or error}.") from error
         except ValueError as error:
             raise BenchError(f"{place}: {error}.") from error
         if stored is not None:
@@ -234,8 +236,10 @@ def _model(document: YamlDocument, structure: Mapping[str, Any], key: str, paths
     return model
 
 
-def _reduced(model: NamedModel, entries: list[dict[str, Any]], structure: Mapping[str, Any]) -> dict[str, Any]:
-    """Matrices of at most ``LARGEST`` rows as lists, points with their rows of them, what was done in words.
+def _reduced(
+    model: NamedModel, entries: list[dict[str, Any]], structure: Mapping[str, Any], folder: Path
+) -> dict[str, Any]:
+    """Matrices of at most ``LARGEST`` rows as lists, points with their rows of them, regions, what was done in words.
 
     Raises:
         ValueError: points that the files do not have, matrices that are no passive structure, or too large without
@@ -244,6 +248,7 @@ def _reduced(model: NamedModel, entries: list[dict[str, Any]], structure: Mappin
     # Late: scipy's sparse matrices take a third of a second, in every node that loads a rig.
     from nmt_rig.model.matrix_structure import TRUNCATION, Matrices, condensed, craig_bampton, regular
     from nmt_rig.named_rows import Units
+    from nmt_rig.region_files import read_regions, reduced_with_regions
 
     units, modes = structure.get("units"), structure.get("modes")
     points_at, notes = _found_points(model, entries)
@@ -259,11 +264,28 @@ def _reduced(model: NamedModel, entries: list[dict[str, Any]], structure: Mappin
     if beyond := [row for row in kept if row >= matrices.size]:
         raise ValueError(f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}")
     massless = int(matrices.massless().size)
+    written: dict[str, Any] = {}
+    if structure.get("regions") and modes is None and structure.get("mass_kg") is None:
+        raise ValueError("structure.regions need structure.modes, the number of modes to keep beside the points")
     if modes is not None:
         if not isinstance(modes, int) or isinstance(modes, bool):
             raise ValueError(f"structure.modes must be a whole number, got {modes!r}")
-        matrices, rows = craig_bampton(matrices, kept, modes), list(range(len(kept)))
-    elif matrices.size - massless > LARGEST or matrices.size > _LARGEST_CONDENSED:
+        if sections := structure.get("regions"):
+            regions = read_regions(model, sections, folder, system, rotations + turned)
+            matrices, written = reduced_with_regions(matrices, kept, modes, regions)
+            notes += _region_notes(written)
+        else:
+            matrices = craig_bampton(matrices, kept, modes)
+        rows = list(range(len(kept)))
+        if written and (moving := matrices.size - _held_rows(written)) > LARGEST:
+            raise ValueError(
+                f"points, modes and what regions need are {moving} coordinates, and {LARGEST} is the limit; "
+                "keep fewer modes or regions"
+            )
+    elif (
+        matrices.size - massless - _held_rows(structure.get("regions") or {}) > LARGEST
+        or matrices.size > _LARGEST_CONDENSED
+    ):
         raise ValueError(
             f"the structure has {matrices.size} degrees of freedom, and {LARGEST} is the limit; reduce it with "
             "structure.modes, the number of modes to keep beside the points"
@@ -293,7 +315,34 @@ def _reduced(model: NamedModel, entries: list[dict[str, Any]], structure: Mappin
         {k: number[v] if k in ("row", "rotation_row") and v is not None else v for k, v in entry.items()}
         for entry in points_at
     ]
-    return {**lists, "points_at": placed, "note": "; ".join(notes)}
+    return {**lists, "points_at": placed, "note": "; ".join(notes), **({"regions": written} if written else {})}
+
+
+def _held_rows(regions: Mapping[str, Any]) -> int:
+    """Coordinates of a reduced structure that ideal supports take out of its motion."""
+    return sum(
+        len(region.get(key) or ()) for region in regions.values() for key in ("translation_rows", "rotation_rows")
+    )
+
+
+def _region_notes(regions: Mapping[str, Any]) -> list[str]:
+    """What each region is, in words."""
+    notes = []
+    for name, region in regions.items():
+        parts = [f"{len(region['nodes'])} nodes"] if region["nodes"] else []
+        if region.get("held"):
+            kinds = [
+                word
+                for key, word in (("translation_rows", "translations"), ("rotation_rows", "rotations"))
+                if region.get(key)
+            ]
+            parts.append(f"held in {' and '.join(kinds)}")
+        else:
+            if "mass_kg" in region:
+                parts.append(f"{region['moved_kg']:.4g} kg")
+            parts.append("with a stiffness of its own" if "stiffness_n_m" in region else "without a stiffness")
+        notes.append(f"region {name}: {', '.join(parts)}")
+    return notes
 
 
 def _found_points(model: NamedModel, entries: list[dict[str, Any]]) -> tuple[list[dict[str, Any]], list[str]]:
@@ -322,18 +371,29 @@ def _found_points(model: NamedModel, entries: list[dict[str, Any]]) -> tuple[lis
 
 
 def _stored_reduction(
-    structure: Mapping[str, Any], paths: Mapping[str, Path], entries: list[dict[str, Any]]
+    structure: Mapping[str, Any], paths: Mapping[str, Path], entries: list[dict[str, Any]], folder: Path
 ) -> Path | None:
     """Where the reduction of large files is kept, named by the digest of all that it follows from; None without one."""
     files = list(paths.values())
     if structure.get("modes") is None or not files or sum(path.stat().st_size for path in files) < _SMALL_FILE:
         return None
     digest = hashlib.sha256(f"{_REDUCTION} {entries} {structure['modes']} {structure.get('units')}".encode())
+    digest.update(repr(structure.get("regions")).encode())
+    for file in region_paths(structure, folder):
+        digest.update(hashlib.sha256(file.read_bytes()).digest() if file.is_file() else b"")
     for name, path in paths.items():
         digest.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}".encode())
     for name in (*_MATRIX_KEYS, "base_vector", "base_load_kg", "damping_ratios"):
         digest.update(repr(structure.get(name)).encode())
     return files[0].parent / ".nmt-reduced" / f"{files[0].name}-{digest.hexdigest()[:16]}.json"
+
+
+def region_paths(structure: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Files of the regions of a structure."""
+    regions = structure.get("regions")
+    sections = regions.values() if isinstance(regions, Mapping) else ()
+    names = [section.get("file") for section in sections if isinstance(section, Mapping)]
+    return [folder / Path(name).expanduser() for name in names if isinstance(name, str)]
 
 
 def _read_reduction(path: Path | None, points: int) -> dict[str, Any]:

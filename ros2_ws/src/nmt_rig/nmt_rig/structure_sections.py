@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from nmt_rig.model.beam import Boundary
+from nmt_rig.model.packed_matrix import unpacked
 from nmt_rig.rig_section import NotNegative, Point, Positive, Section
 
 
@@ -176,6 +177,44 @@ class MatrixPointSection(Section):
     rotation: Literal["rx", "ry", "rz"] | None = None
 
 
+class RegionSection(Section):
+    """A part of a finite-element model that may be off: its elements, its mass, or the support that it is."""
+
+    nodes: Annotated[list[int], Field(default_factory=list)]
+    within: Annotated[list[Annotated[list[float], Field(min_length=3, max_length=3)]], Field(max_length=2)] | None = (
+        None
+    )
+    file: str | None = None
+    held: bool = False
+    stiffness_factor: Positive = 1.0
+    mass_factor: Positive = 1.0
+    compliance_m_n: NotNegative = 0.0
+    rotational_compliance_rad_nm: NotNegative = 0.0
+    stiffness_std: NotNegative = 0.0
+    mass_std: NotNegative = 0.0
+    stiffness_n_m: str | None = None
+    mass_kg: str | None = None
+    moved_kg: NotNegative = 0.0
+    translation_rows: Annotated[list[int], Field(default_factory=list)]
+    rotation_rows: Annotated[list[int], Field(default_factory=list)]
+
+    @model_validator(mode="after")
+    def _fits(self) -> RegionSection:
+        absent = (
+            ("stiffness_factor", self.stiffness_factor != 1.0, self.stiffness_n_m, "a stiffness of its own; give file"),
+            ("mass_factor", self.mass_factor != 1.0, self.mass_kg, "a mass of its own"),
+            ("compliance_m_n", self.compliance_m_n, self.translation_rows, "translations that it holds"),
+            (
+                "rotational_compliance_rad_nm",
+                self.rotational_compliance_rad_nm, self.rotation_rows, "rotations that it holds",
+            ),
+        )  # fmt: skip
+        for key, changed, part, needed in absent:
+            if changed and not part:
+                raise ValueError(f"{key} needs {needed}")
+        return self
+
+
 class MatricesSection(StructureSection):
     """Structure given by its matrices; from files or reduced, the rig holds the matrices that came out."""
 
@@ -198,7 +237,14 @@ class MatricesSection(StructureSection):
     mass_factor: Positive = 1.0
     stiffness_factor: Positive = 1.0
     damping_factor: NotNegative = 1.0
+    frequency_factors: Annotated[list[Positive], Field(default_factory=list)]
+    regions: Annotated[dict[str, RegionSection], Field(default_factory=dict)]
     source: str = ""
+
+    @property
+    def held_rows(self) -> list[int]:
+        """Rows that supports hold where they are ideal."""
+        return [row for each in self.regions.values() for row in (*each.translation_rows, *each.rotation_rows)]
 
     @property
     def points(self) -> Sequence[int]:
@@ -211,6 +257,16 @@ class MatricesSection(StructureSection):
             raise ValueError("points_at names a point twice")
         if self.damping_ns_m is not None and self.damping_ratios is not None:
             raise ValueError("damping_ns_m and damping_ratios both give the damping; remove one")
+        n = len(self.mass_kg)
+        for name, region in self.regions.items():
+            for key in ("stiffness_n_m", "mass_kg"):
+                text = getattr(region, key)
+                if text is not None and unpacked(text).shape[0] != n:
+                    raise ValueError(f"regions.{name}.{key} has {unpacked(text).shape[0]} rows, the structure {n}")
+            if any(not 0 <= row < n for row in (*region.translation_rows, *region.rotation_rows)):
+                raise ValueError(f"regions.{name} holds a row that is not one of 0 to {n - 1}")
+        if own := {entry.row for entry in self.points_at} & set(self.held_rows):
+            raise ValueError(f"row {min(own)} is a point's and held by a region")
         return self
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp, pi
 
@@ -54,12 +55,12 @@ class CalibrationParameter:
 
 
 @dataclass(frozen=True)
-class ModeDamping(CalibrationParameter):
-    """Factor on the damping of one mode of the structure, whose law of damping is a guess.
+class ModeFactor(CalibrationParameter):
+    """Factor on the damping or frequency of one mode of the structure.
 
     Attributes:
         mode: number of the undamped mode, 0 = lowest.
-        count: modes that have factors; the last one's holds for all above it, too.
+        count: modes that have factors.
     """
 
     mode: int = 0
@@ -69,7 +70,7 @@ class ModeDamping(CalibrationParameter):
         """Rig with the factor of the mode moved from one θ to another."""
         if theta == before:
             return rig
-        factors = list(rig.structure.damping_factors)
+        factors = list(value_at(rig, self.path))
         factors += [factors[-1] if factors else 1.0] * (self.count - len(factors))
         factors[self.mode] = self.at(theta)
         return with_value(rig, self.path, factors)
@@ -113,6 +114,8 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     else:
         for path in model_paths(structure):
             add(path, "structure")
+        if isinstance(structure, MatricesSection):
+            found.extend(_of_regions(structure))
     for index, element in enumerate(rig.local_elements):
         place: LocationKind = "exciter" if element.side == "exciter" else "joint" if element.friction else "structure"
         for key in () if element.without_harmonic_balance else element.own_keys():
@@ -128,33 +131,55 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     return tuple(found)
 
 
-def mode_dampings(rig: Rig, lowest_hz: float, highest_hz: float) -> tuple[ModeDamping, ...]:
-    """Damping of each mode of a band, where the model has one law of damping for all modes.
+def _of_regions(structure: MatricesSection) -> Iterator[CalibrationParameter]:
+    """Factors of regions where the rig file says how well they are known, and compliances that supports have."""
+    for name, region in structure.regions.items():
+        for key, std in (("stiffness_factor", region.stiffness_std), ("mass_factor", region.mass_std)):
+            if std > 0.0:
+                path: Path = ("structure", "regions", name, key)
+                yield CalibrationParameter(".".join(map(str, path)), "1", path, std, "structure", getattr(region, key))
+        for key in ("compliance_m_n", "rotational_compliance_rad_nm"):
+            if (value := getattr(region, key)) > 0.0:
+                path, std = ("structure", "regions", name, key), MODEL_PRIORS[key].std
+                name_of = ".".join(map(str, path))
+                yield CalibrationParameter(name_of, unit_of_key(key), path, std, "boundary", value)
+
+
+def mode_factors(rig: Rig, lowest_hz: float, highest_hz: float) -> tuple[ModeFactor, ...]:
+    """Damping of each mode of a band, where the model has one law of damping for all modes, and of finite-element
+    models its frequency, which mesh and reduction leave open.
 
     Args:
-        rig: the model; modal structures and chains have dampings of their own in ``calibration_parameters``.
+        rig: the model; modal structures and chains have parameters of their own in ``calibration_parameters``.
         lowest_hz, highest_hz: band of the tests.
     """
     section = rig.structure
-    if not isinstance(section, BeamSection | MatricesSection) or getattr(section, "damping_ratios", None):
+    if not isinstance(section, BeamSection | MatricesSection):
         return ()
     structure = build_structure(rig)
-    if not np.any(structure.damping):
-        return ()
     squares = eigh(structure.stiffness, structure.mass, eigvals_only=True)
     frequencies = np.sqrt(np.maximum(squares, 0.0)) / (2.0 * pi)
     near = np.flatnonzero(
         (frequencies > lowest_hz / THRESHOLDS.candidates.mode_band_ratio)
         & (frequencies < highest_hz * THRESHOLDS.candidates.mode_band_ratio)
     )
-    # One more for all above: together they are the flexibility that they add to the band, and its phase.
-    wanted = [*map(int, near), *range(int(near[-1]) + 1, frequencies.size)[:1]] if near.size else []
-    factors_given = list(section.damping_factors) or [1.0]
-    factors = [*factors_given, *[factors_given[-1]] * frequencies.size]
-    return tuple(
-        ModeDamping(
-            f"structure.damping_factors.{mode}", "1", ("structure", "damping_factors"),
-            MODEL_PRIORS["damping_factors"].std, "structure", factors[mode], mode=mode, count=wanted[-1] + 1,
-        )
-        for mode in wanted
+    if not near.size:
+        return ()
+    found: list[ModeFactor] = []
+    if isinstance(section, MatricesSection):
+        each_now = [*section.frequency_factors, *[1.0] * frequencies.size]
+        found += [_of_mode("frequency_factors", int(mode), each_now[mode], int(near[-1]) + 1) for mode in near]
+    if np.any(structure.damping) and not getattr(section, "damping_ratios", None):
+        # One more for all above: together they are the flexibility that they add to the band, and its phase.
+        wanted = [*map(int, near), *range(int(near[-1]) + 1, frequencies.size)[:1]]
+        factors_given = list(section.damping_factors) or [1.0]
+        factors = [*factors_given, *[factors_given[-1]] * frequencies.size]
+        found += [_of_mode("damping_factors", mode, factors[mode], wanted[-1] + 1) for mode in wanted]
+    return tuple(found)
+
+
+def _of_mode(key: str, mode: int, value: float, count: int) -> ModeFactor:
+    return ModeFactor(
+        f"structure.{key}.{mode}", "1", ("structure", key), MODEL_PRIORS[key].std, "structure", value, mode=mode,
+        count=count,
     )  # fmt: skip

@@ -11,13 +11,14 @@ from nmt_diagnose.effects.boundary_effects import BOUNDARY_EFFECTS, JOINT_EFFECT
 from nmt_diagnose.effects.effect import Candidate, Effect
 from nmt_diagnose.effects.exciter_effects import EXCITER_EFFECTS
 from nmt_diagnose.effects.operating_range import OperatingRange
+from nmt_diagnose.effects.region_effects import REGION_EFFECTS, SUPPORT_EFFECT
 from nmt_diagnose.effects.sensor_effects import SENSOR_EFFECTS
 from nmt_diagnose.effects.structure_effects import STRUCTURE_EFFECTS
 from nmt_diagnose.effects.time_effects import CONTROLLER_EFFECTS, TIME_EFFECTS
 from nmt_rig.rig import Rig
 
 ALIKE_AT_EVERY_LEVEL = frozenset({
-    "viscous_damping", "structural_damping", "added_mass", "missing_mode",
+    "viscous_damping", "structural_damping", "added_mass", "missing_mode", "local_stiffness", "local_mass",
     "clamp_compliance", "stinger_stiffness", "source_impedance",
     "force_gain", "force_cell_mass", "response_gain", "transverse_sensitivity", "sensor_mass", "channel_skew",
     "shared_delay", "drive_hold", "low_pass", "charge_high_pass", "clock_error", "phase_offset", "loop_latency",
@@ -30,7 +31,9 @@ def library() -> tuple[Effect, ...]:
     """All effects, place by place."""
     return (
         *STRUCTURE_EFFECTS,
+        *REGION_EFFECTS,
         *BOUNDARY_EFFECTS,
+        SUPPORT_EFFECT,
         *JOINT_EFFECTS,
         *TIME_EFFECTS,
         *EXCITER_EFFECTS,

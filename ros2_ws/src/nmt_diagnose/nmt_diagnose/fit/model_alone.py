@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray
 from nmt_diagnose.chain.chain_columns import shared_delays
-from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_dampings
+from nmt_diagnose.effects.calibration import CalibrationParameter, calibration_parameters, mode_factors
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.best_fit import StartName, best_fit, from_believed, likelihood
 from nmt_diagnose.fit.explanations import FittedExplanation
@@ -30,11 +30,16 @@ _FINE_HARMONICS = 27
 
 def free_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
     """Parameters that are free in every explanation: of the model, damping of its modes, delays of its sensors."""
-    return (
-        *calibration_parameters(rig),
-        *mode_dampings(rig, *_band(observations)),
-        *shared_delays(observations, rig),
-    )
+    return (*own_and_modes(rig, observations), *shared_delays(observations, rig))
+
+
+def own_and_modes(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
+    """Parameters of the model and of its modes in the band of the observations."""
+    of_modes = mode_factors(rig, *_band(observations))
+    # A factor on a damping matrix says nothing beside one for each of its modes.
+    each = any(parameter.path == ("structure", "damping_factors") for parameter in of_modes)
+    of_model = (p for p in calibration_parameters(rig) if not (each and p.path == ("structure", "damping_factor")))
+    return (*of_model, *of_modes)
 
 
 def model_alone(

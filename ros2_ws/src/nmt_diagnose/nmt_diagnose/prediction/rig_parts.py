@@ -319,7 +319,7 @@ def _bare(rig: Rig, forced: bool, others: Sequence[RigParts]) -> tuple[Structure
     return plain, structure, bare
 
 
-_COMPLETED = frozenset(("damping_factors", "loss_factor", "oscillators"))
+_COMPLETED = frozenset(("damping_factors", "frequency_factors", "loss_factor", "oscillators"))
 
 
 def _equal_structures(rig: Rig, other: Rig, but_for: frozenset[str] = frozenset()) -> bool:

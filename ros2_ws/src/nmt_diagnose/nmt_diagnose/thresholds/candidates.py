@@ -66,6 +66,16 @@ class CandidateThresholds:
         "Damping ratio of an oscillator from which fits begin where noise says less.",
         "tests/diagnose/test_missing_mode.py::test_a_start_has_the_pole_of_the_responses",
     )  # fmt: skip
+    region_change: float = threshold(
+        0.05, "ln",
+        "Change of a region's stiffness or mass that its strength is counted in: of models before updating.",
+        "tests/diagnose/test_regions.py::test_a_region_is_a_candidate_where_it_has_a_matrix",
+    )  # fmt: skip
+    largest_region_factor: float = threshold(
+        20.0, "1",
+        "Factor on a region's stiffness or mass beyond which it is another part, not one that is off.",
+        "tests/diagnose/test_regions.py::test_a_region_is_a_candidate_where_it_has_a_matrix",
+    )  # fmt: skip
     least_motion_share: float = threshold(
         1e-3, "1",
         "Motion of a point over the largest below which an effect of the structure does nothing there.",

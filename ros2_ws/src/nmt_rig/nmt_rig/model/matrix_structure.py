@@ -30,6 +30,9 @@ _MASSLESS = 1e-14
 _RIGID_BODY_MODES = 6
 # Of the ω² of the next mode; ten thousand in frequency.
 _RIGID = 1e-8
+# Lowest modes whose forces in a part of the structure are answered statically, and share of ω² that such an answer may
+# matter by where it is left out.
+_PART_MODES, _CONTAINED = 8, 2e-3
 # Up to this size all eigenvalues are computed, beyond it the lowest ones by Lanczos iteration.
 _DENSE = 600
 
@@ -44,6 +47,7 @@ class Matrices:
         base_load: (n,) M r + M_b, None = M r.
         band_hz: of a reduced structure, up to which its frequencies are within ``TRUNCATION`` of the full ones; None =
             not known.
+        basis: (N, n) of a reduced structure, motion of the full one by each of its coordinates; None = not reduced.
     """
 
     mass: Any
@@ -52,6 +56,7 @@ class Matrices:
     base_vector: Array | None = None
     base_load: Array | None = None
     band_hz: float | None = None
+    basis: Array | None = None
 
     @property
     def size(self) -> int:
@@ -227,7 +232,17 @@ def _positive_definite(matrix: Any, lift: bool = False) -> bool:
     return factor is not None and bool(np.all(factor.U.diagonal() > 0.0))
 
 
-def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matrices:
+@dataclass(frozen=True)
+class Part:
+    """Stiffness or mass (n, n) of a part of a structure."""
+
+    matrix: Any
+    of_mass: bool
+
+
+def craig_bampton(
+    matrices: Matrices, kept: Sequence[int], modes: int, parts: Sequence[Part] = (), held: int = 0
+) -> Matrices:
     """Reduction to physical degrees of freedom and fixed-interface modes (Craig and Bampton, AIAA J. 6 (1968) 1313).
 
     Static deflections under forces at the kept degrees of freedom are exact whatever the number of modes. Rows without
@@ -242,9 +257,12 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
         matrices: checked matrices of n degrees of freedom.
         kept: rows that stay degrees of freedom, in the new order; the modes come behind them.
         modes: number of modes of the structure with the kept degrees of freedom fixed, the lowest ones.
+        parts: of the structure that may change: static deflections under their forces in the lowest modes are kept,
+            too, so that frequencies are right to second order in the change.
+        held: number of the last kept degrees of freedom that do not move in these lowest modes.
 
     Returns:
-        Dense matrices of size len(kept) + modes.
+        Dense matrices of size len(kept) + modes, and further coordinates for the parts, with their basis.
 
     Raises:
         ValueError: rows that do not exist or repeat, more modes than there are, or supports so few that the structure
@@ -271,13 +289,13 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
             )
         basis[np.ix_(inner, np.arange(own.size))] = factor.solve(-stiffness[inner][:, own].toarray())
         basis[inner, own.size :] = _lowest(k_ii, m_ii, factor, modes)
-        band_hz = _band(basis, inner, own.size, k_ii, mass, factor) if 0 < modes < heavy else None
+        at_rest = np.delete(basis, np.s_[own.size - held : own.size], axis=1)
+        band_hz = _band(at_rest, inner, own.size - held, k_ii, mass, factor) if 0 < modes < heavy else None
+        if parts and 0 < modes < heavy:
+            basis = _with_parts(basis, inner, own.size, stiffness, mass, factor, parts, held)
 
     def projected(matrix: Any) -> Any:
-        if matrix is None:
-            return None
-        result = basis.T @ np.asarray(matrix @ basis)
-        return 0.5 * (result + result.T)
+        return None if matrix is None else projection(matrix, basis)
 
     load, r = matrices.load(), matrices.base_vector
     reduced = projected(matrices.stiffness)
@@ -287,10 +305,54 @@ def craig_bampton(matrices: Matrices, kept: Sequence[int], modes: int) -> Matric
         projected(matrices.mass),
         reduced,
         projected(matrices.damping),
-        None if r is None else np.concatenate([r[own], np.zeros(modes)]),
+        None if r is None else np.concatenate([r[own], np.zeros(basis.shape[1] - own.size)]),
         None if load is None else basis.T @ load,
         band_hz,
+        basis,
     )
+
+
+def projection(matrix: Any, basis: Array) -> Array:
+    """Tᵀ A T of a symmetric matrix, exactly symmetric."""
+    result = basis.T @ np.asarray(matrix @ basis)
+    return np.asarray(0.5 * (result + result.T))
+
+
+def _with_parts(
+    basis: Array, inner: NDArray[np.int64], points: int, stiffness: Any, mass: Any, factor: Any, parts: Sequence[Part],
+    held: int,
+) -> Array:  # fmt: skip
+    """The basis with static deflections of inner rows under the forces of parts in its lowest modes.
+
+    Where a part changes by the share δ, deflections d beyond the basis lower ω² by δ² dᵀ K d of itself, for a mode with
+    φᵀ K φ = 1. Those of less than ``_CONTAINED`` are left out; modes and deflections together become modes again.
+    """
+    moving = np.delete(basis, np.s_[points - held : points], axis=1)
+    squares, shapes = eigh(projection(stiffness, moving), projection(mass, moving))
+    squares = np.maximum(squares[:_PART_MODES], _LIFT * squares[-1])
+    lowest = moving @ (shapes[:, :_PART_MODES] / np.sqrt(squares))
+    known = basis[inner, points:]
+    k_ii, m_ii = stiffness[inner][:, inner], mass[inner][:, inner]
+    for part in parts:
+        forces = np.asarray(part.matrix @ (lowest * squares if part.of_mass else lowest))[inner]
+        deflections = factor.solve(forces)
+        # Modes of the inner rows are orthogonal in both matrices; once more against rounding.
+        for _ in range(2):
+            deflections = deflections - known @ (known.T @ np.asarray(m_ii @ deflections))
+        sizes, turns = eigh(projection(k_ii, deflections))
+        if not np.any(sizes > _CONTAINED):
+            continue
+        deflections = deflections @ turns[:, sizes > _CONTAINED]
+        together = np.hstack([known, deflections])
+        known = together @ eigh(projection(k_ii, together), projection(m_ii, together))[1]
+    return np.hstack([basis[:, :points], _spread(known, inner, basis.shape[0])])
+
+
+def _spread(values: Array, rows: NDArray[np.int64], size: int) -> Array:
+    """Values (r, k) in their rows of (size, k), zeros elsewhere."""
+    result = np.zeros((size, values.shape[1]))
+    result[rows] = values
+    return result
 
 
 def _band(basis: Array, inner: NDArray[np.int64], points: int, k_ii: Any, mass: Any, factor: Any) -> float:

@@ -206,6 +206,16 @@ class Structure(PointMotion):
         each[: len(factors)] = factors[: dampings.size]
         return replace(self, damping=self.damping + (weighted * ((each - 1.0) * dampings)) @ weighted.T)
 
+    def with_frequency_factors(self, factors: Sequence[float]) -> Structure:
+        """The structure with the frequencies of its lowest undamped modes times ``factors``, shapes and damping kept.
+
+        What mesh and reduction do to each mode beside the parameters of the model.
+        """
+        squares, weighted = self._undamped
+        each = np.ones(squares.size)
+        each[: len(factors)] = factors[: squares.size]
+        return replace(self, stiffness=self.stiffness + (weighted * ((each**2 - 1.0) * squares)) @ weighted.T)
+
     @cached_property
     def _modal_dampings(self) -> Array:
         """Damping (n,) of each undamped mode over its modal mass, 1/s."""

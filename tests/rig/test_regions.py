@@ -1,0 +1,197 @@
+"""Regions of finite-element models through the reduction: what they change is what the full model changes by.
+
+The full models are plates of scikit-fem with the same change in their own matrices.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from nmt_core.errors import BenchError
+from nmt_rig.rig import load_rig
+from nmt_rig.rig_model import build_structure
+from nmt_rig.rig_snapshot import rig_text
+
+pytest.importorskip("skfem", reason="scikit-fem, which builds the plates, is not installed")
+
+from independent import plates
+
+PLATE = replace(plates.drawn(5), off=1.0)
+COMPARED = 6
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    return plates.write_model(PLATE, tmp_path_factory.mktemp("plate"))
+
+
+def frequencies(model, *changes):
+    structure = build_structure(load_rig(model, list(changes)))
+    return np.sqrt(eigh(structure.stiffness, structure.mass, eigvals_only=True)[:COMPARED]) / (2.0 * np.pi)
+
+
+def full(**changes):
+    return plates.modes_of(replace(PLATE, **changes), plates.MODEL_ELEMENTS).omega[:COMPARED] / (2.0 * np.pi)
+
+
+def test_the_band_that_is_stated_holds_the_frequencies_to_a_thousandth(model):
+    source = load_rig(model).structure.source
+    band_hz = float(source.split(" up to ")[1].split(" Hz")[0])
+    exact = full(kind=plates.HEALTHY)
+    assert np.sum(exact < band_hz) >= 2
+    np.testing.assert_allclose(frequencies(model)[exact < band_hz], exact[exact < band_hz], rtol=1e-3)
+
+
+CHANGES = {
+    "a soft patch": ("patch2.stiffness_factor=0.5", {"kind": plates.STIFFNESS, "at": 2, "factor": 0.5}),
+    "a stiff patch": ("patch3.stiffness_factor=1.8", {"kind": plates.STIFFNESS, "at": 3, "factor": 1.8}),
+    "a heavy patch": ("patch1.mass_factor=1.8", {"kind": plates.MASS, "at": 1, "factor": 1.8}),
+    "a clamp that turns": (
+        f"clamp.rotational_compliance_rad_nm={PLATE.compliance}",
+        {"kind": plates.BOUNDARY, "compliance": PLATE.compliance},
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "truth"), CHANGES.values(), ids=CHANGES)
+def test_a_change_of_a_region_is_that_of_the_full_model(model, change, truth):
+    """Frequencies that move by 1 to 13 % are right to 0.05 %."""
+    exact, before = full(**truth), full(kind=plates.HEALTHY)
+    assert np.max(np.abs(exact / before - 1.0)) > 0.05
+    np.testing.assert_allclose(frequencies(model, f"structure.regions.{change}"), exact, rtol=5e-4)
+
+
+SLOPES = {
+    "stiffness": ("patch2.stiffness_factor", plates.STIFFNESS, {"at": 2}),
+    "mass": ("patch1.mass_factor", plates.MASS, {"at": 1}),
+}
+
+
+@pytest.mark.parametrize(("key", "kind", "more"), SLOPES.values(), ids=SLOPES)
+def test_slopes_are_differences_of_the_full_model(model, key, kind, more):
+    step = 1e-3
+    exact = (full(kind=kind, factor=1.0 + step, **more) - full(kind=kind, factor=1.0 - step, **more)) / (2.0 * step)
+    lower, upper = (frequencies(model, f"structure.regions.{key}={1.0 + sign * step}") for sign in (-1.0, 1.0))
+    np.testing.assert_allclose((upper - lower) / (2.0 * step), exact, rtol=2e-3, atol=2e-4 * np.max(np.abs(exact)))
+
+
+def test_a_region_changes_the_responses_as_in_the_full_model(model):
+    """Accelerances at all points by a force, between 0.6 of the first frequency and the sixth.
+
+    A frequency that is off by 1e-4 is one per cent of a resonance of ζ = 1 %.
+    """
+    truth = replace(PLATE, kind=plates.STIFFNESS, at=2, factor=0.7, ratio=0.01)
+    modes = plates.modes_of(truth, plates.MODEL_ELEMENTS)
+    hz = np.geomspace(0.6 * modes.omega[0], modes.omega[5], 60) / (2.0 * np.pi)
+    structure = build_structure(load_rig(model, ["structure.regions.patch2.stiffness_factor=0.7"]))
+    squares, shapes = eigh(structure.stiffness, structure.mass)
+    zeta = plates.damping_ratios(truth, np.sqrt(squares) * modes.omega[0] / np.sqrt(squares[0]))
+    at = np.array([shapes[structure.points[point]] for point in range(1, 7)])
+    w = 2.0 * np.pi * hz
+    gains = at[truth.driven - 1][:, None] / (squares[:, None] - w**2 + 2j * (zeta * np.sqrt(squares))[:, None] * w)
+    exact = plates.accelerances(truth, modes, hz)
+    error = np.abs(-(w**2) * (at @ gains) - exact)
+    assert np.max(error / np.max(np.abs(exact), axis=1, keepdims=True)) < 1e-2
+
+
+def test_regions_travel_with_the_rig(model, tmp_path):
+    rig = load_rig(model, ["structure.regions.patch2.stiffness_factor=0.7"])
+    (tmp_path / "rig.yaml").write_text(rig_text(rig, model))
+    again = load_rig(tmp_path / "rig.yaml", ["structure.regions.clamp.rotational_compliance_rad_nm=1e-6"])
+    one, other = (
+        build_structure(each)
+        for each in (
+            again,
+            load_rig(
+                model,
+                [
+                    "structure.regions.patch2.stiffness_factor=0.7",
+                    "structure.regions.clamp.rotational_compliance_rad_nm=1e-6",
+                ],
+            ),
+        )
+    )
+    np.testing.assert_allclose(one.stiffness, other.stiffness, rtol=1e-12)
+    assert rig.structure.regions["patch2"].nodes == again.structure.regions["patch2"].nodes
+
+
+def test_what_was_read_is_told(model):
+    source = load_rig(model).structure.source
+    assert "region clamp: 7 nodes, held in translations and rotations" in source
+    patch = load_rig(model).structure.regions["patch1"]
+    length, width, thickness = PLATE.size
+    cells = plates.CELLS[0] * plates.CELLS[1]
+    np.testing.assert_allclose(patch.moved_kg, PLATE.density * length * width * thickness * 4 / cells, rtol=1e-9)
+    assert f"region patch1: 25 nodes, {patch.moved_kg:.4g} kg, with a stiffness of its own" in source
+    assert "region twist: 63 nodes, with a stiffness of its own" in source
+
+
+def test_nodes_alone_have_a_mass_and_a_box_names_them(model):
+    length = PLATE.size[0]
+    text = model.read_text()
+    start = text.index("patch1:")
+    boxed = model.parent / "boxed.yaml"
+    end = text.index("patch2:")
+    indent = text[:start].rsplit("\n", 1)[1]
+    box = f"[[{0.74 * length}, -1, -1], [{1.1 * length}, 1, 1]]"
+    boxed.write_text(f"{text[:start]}patch1:\n{indent}  within: {box}\n{indent}{text[end:]}")
+    region = load_rig(boxed).structure.regions["patch1"]
+    assert len(region.nodes) == 21
+    assert region.stiffness_n_m is None
+    # Half an element more than the strip of a quarter, in which the block of its rows ends.
+    strip = PLATE.density * np.prod(PLATE.size) / 4.0
+    assert strip < region.moved_kg < strip * 1.5
+    with pytest.raises(BenchError, match="stiffness_factor needs a stiffness of its own; give file"):
+        load_rig(boxed, ["structure.regions.patch1.stiffness_factor=0.5"])
+
+
+REFUSED = {
+    "an unknown node": ({"nodes": [4, 999]}, "region wrong: node 999 is not among the 63 nodes"),
+    "an empty region": ({}, "region wrong: it has neither nodes nor a file"),
+    "an empty box": ({"within": [[5.0, 5.0, 5.0], [6.0, 6.0, 6.0]]}, "no node of the model lies within it"),
+    "one corner": ({"within": [[5.0, 5.0, 5.0]]}, "within must be two corners"),
+    "no file": ({"file": "none.npz"}, "region wrong: there is no file"),
+    "a file of points": ({"held": True, "file": "patch1.npz"}, "it is held and has a file"),
+    "held nothing": ({"held": True}, "it is held and names no nodes"),
+    "held twice": ({"held": True, "nodes": [1]}, "regions clamp and wrong both hold node 1"),
+    "a held point": ({"held": True, "within": [[0.2, -1, -1], [9, 9, 9]]}, "is both a point's and of a region"),
+    "a key of the bench": ({"nodes": [4], "stiffness_n_m": [[1.0]]}, "stiffness_n_m is written by the bench"),
+}
+
+
+@pytest.mark.parametrize(("region", "says"), REFUSED.values(), ids=REFUSED)
+def test_regions_that_do_not_fit_are_named(model, region, says):
+    from nmt_core.files.yaml_text import yaml_text
+    from nmt_rig.rig_file import read_document
+
+    values = read_document(model).values
+    structure = values["structure"]
+    changed = {**values, "structure": {**structure, "regions": {**structure["regions"], "wrong": region}}}
+    file = model.parent / "wrong.yaml"
+    file.write_text(yaml_text(changed))
+    with pytest.raises(BenchError, match=says):
+        load_rig(file)
+
+
+def test_a_region_of_a_structure_without_nodes_is_refused(tmp_path):
+    np.savez(tmp_path / "two.npz", M=np.eye(3), K=np.diag([1.0, 2.0, 3.0]))
+    text = rig_text(load_rig("beam"), None, ["x=y"])
+    start, end = text.index("structure:"), text.index("local_elements:")
+    section = "kind: matrices, file: two.npz, points_at: [{point: 2, row: 0}, {point: 7, row: 1}]"
+    file = tmp_path / "rig.yaml"
+    for more, says in (
+        ("modes: 1, regions: {part: {nodes: [1]}}", "the files do not say which node a row belongs to"),
+        ("regions: {part: {nodes: [1]}}", "structure.regions need structure.modes"),
+        ("modes: 1, regions: [4]", "must be regions by name"),
+        ("modes: 1, regions: {a.b: {nodes: [1]}}", "a name begins with a letter"),
+    ):
+        file.write_text(f"{text[:start]}structure: {{{section}, {more}}}\n{text[end:]}")
+        with pytest.raises(BenchError, match=says):
+            load_rig(file)
+    file.write_text(f"{text[:start]}structure: {{kind: beam, regions: {{}}}}\n{text[end:]}")
+    with pytest.raises(BenchError, match="regions"):
+        load_rig(file)

@@ -90,7 +90,7 @@ def test_a_region_changes_the_responses_as_in_the_full_model(model):
     structure = build_structure(load_rig(model, ["structure.regions.patch2.stiffness_factor=0.7"]))
     squares, shapes = eigh(structure.stiffness, structure.mass)
     zeta = plates.damping_ratios(truth, np.sqrt(squares) * modes.omega[0] / np.sqrt(squares[0]))
-    at = np.array([shapes[structure.points[point]] for point in range(1, 7)])
+    at = np.array([shapes[structure.points[point]] for point in range(1, 5)])
     w = 2.0 * np.pi * hz
     gains = at[truth.driven - 1][:, None] / (squares[:, None] - w**2 + 2j * (zeta * np.sqrt(squares))[:, None] * w)
     exact = plates.accelerances(truth, modes, hz)

@@ -61,6 +61,14 @@ def test_memory_of_a_record_begins_as_in_a_model_at_rest() -> None:
     assert slack == pytest.approx(np.clip(x - 0.5 * slip, 0.0, 0.5 * slip), abs=1e-9 * A)
 
 
+def test_friction_weakens_only_where_its_force_falls() -> None:
+    """tanh(u) (1 + s exp(−u²)) only has another knee while s is small; over a longer speed it falls."""
+    knee = [(Term("friction", 1e-3), 1.0), (Term("weakening friction", 1e-3, 1e-3), 0.45)]
+    assert family(knee) == "dry friction"
+    assert family([knee[0], (Term("weakening friction", 1e-3, 1e-2), 0.45)]) == "dry friction that weakens with speed"
+    assert family([(Term("weakening friction", 1e-3, 1e-3), 0.45)]) == "dry friction that weakens with speed"
+
+
 @pytest.mark.parametrize("reach", [0.05 * A, 0.7 * A, 20.0 * A])
 def test_bristles_have_the_loop_of_their_closed_form(reach: float) -> None:
     """dz/dx = 1 − z / reach one way and its mirror the other: z = reach tanh(A / reach) at the ends (Dahl 1976)."""

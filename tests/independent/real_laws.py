@@ -5,6 +5,7 @@ Run from the root of the repository in ``./nmt shell``::
     PYTHONPATH=tests python -m independent.real_laws earthquakes FOLDER   # sines and earthquakes as JSON, see below
     PYTHONPATH=tests python -m independent.real_laws drive FOLDER         # steady speeds, see below
     PYTHONPATH=tests python -m independent.real_laws damper FOLDER        # test_*.csv at three currents
+    PYTHONPATH=tests python -m independent.real_laws currents FOLDER      # the same, one law for all
 
 Each record is imported as its owner would, with a model of a mass of no weight; the law is read by the diagnosis, goes
 to the rig file, and the file predicts the force of records that the reading did not have. Figures are rms of what is
@@ -21,10 +22,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -44,18 +46,23 @@ _INCH, _KIP = 0.0254, 4448.22
 _DECIMATED = 8  # samples that are averaged
 _ROWS = 2500
 _AT_REST = 0.02  # of the range of a motion that has not begun
+_TESTS = {"weak": "1_1 4_1 7_1", "middle": "B_1 B_6 B_9", "strong": "A_1 A_4 A_7 A_9"}
 _HELD, _NOMINAL = 120, 9.84e-3  # samples of each speed; torque that the drive's percents count from, N m
 
 
 @dataclass(frozen=True)
 class Record:
-    """Motion at a rate (Hz) in its quantity (displacement or angular_velocity) and the force beside it, N or N m."""
+    """Motion at a rate (Hz) in its quantity (displacement or angular_velocity) and the force beside it, N or N m.
+
+    A current (A) is that of the coil all along; NaN = not recorded.
+    """
 
     name: str
     rate: float
     motion: Array
     force: Array
     quantity: str = "displacement"
+    current: float = math.nan
 
 
 def model(folder: Path, rate: float, mass: float, quantity: str) -> Rig:
@@ -74,13 +81,21 @@ def model(folder: Path, rate: float, mass: float, quantity: str) -> Rig:
 
 def imported(folder: Path, record: Record, number: int) -> Path:
     """Bag of a record."""
-    np.savez(folder / f"{number}.npz", x=record.motion, f=record.force)
+    columns = {"x": record.motion, "f": record.force}
+    followed = []
+    if not math.isnan(record.current):
+        # A channel without any noise would be a dead one.
+        noise = np.random.default_rng(number).standard_normal(record.motion.size)
+        columns["i"] = record.current * (1.0 + 1e-3 * noise)
+        followed = [{"column": "i", "quantity": "current", "unit": "A", "point": 1}]
+    np.savez(folder / f"{number}.npz", **columns)
     units = {"displacement": "m", "angular_velocity": "rad/s"}
     sidecar = {
         "rig": "model.yaml", "sample_rate": record.rate, "file": f"{number}.npz",
         "channels": [
             {"column": "x", "quantity": record.quantity, "unit": units[record.quantity], "point": 1},
             {"column": "f", "quantity": "force", "unit": "N", "point": 1},
+            *followed,
         ],
         "segments": [
             {"kind": "record", "start": 0.0, "stop": (record.motion.size - 1.5) / record.rate, "held": "response"}
@@ -226,16 +241,41 @@ def drive(folder: Path) -> None:
         print(f"{what}; {100 * left[0]:.1f} % of the curve left at the other {len(unknown)}")
 
 
+def of_damper(folder: Path, names: str) -> list[Record]:
+    """Records of the damper while it moves."""
+    records = []
+    for name in names.split():
+        data = table_of(folder / f"test_{name}.csv")
+        moves = np.flatnonzero(np.abs(data[:, 1] - data[0, 1]) > _AT_REST * np.ptp(data[:, 1]))
+        data = data[moves[0] : moves[-1] + 1]
+        records.append(Record(name, 100.0, 1e-3 * data[:, 1], data[:, 2]))
+    return records
+
+
+def currents(folder: Path) -> None:
+    """Print what one law for all currents leaves of each record that it was not read from, beside Dahl's element.
+
+    The files do not say the current. The size of the force of the other records at the same one stands for it.
+    """
+    groups = {current: of_damper(folder, names) for current, names in _TESTS.items()}
+    left_of: dict[str, list[float]] = {current: [] for current in groups}
+    for current, records in groups.items():
+        for out in records:
+            kept = {name: [record for record in some if record is not out] for name, some in groups.items()}
+            size = {name: float(np.mean([np.std(record.force) for record in some])) for name, some in kept.items()}
+            known = [replace(record, current=size[name] / 1e3) for name, some in kept.items() for record in some]
+            reading, left, seconds = read_and_predict(known, [replace(out, current=size[current] / 1e3)], 0.1)
+            left_of[current] += left
+            print(f"{current} {out.name}: law {100 * left[0]:.1f} %; {families_in_words(reading)}; {seconds:.1f} s")
+    for current, left in left_of.items():
+        print(f"{current}: one law for all currents {100 * np.mean(left):.1f} %")
+
+
 def damper(folder: Path) -> None:
     """Print for each current what the law of the other records leaves of each, beside Dahl's element."""
     ratios = []
-    for current, names in (("weak", "1_1 4_1 7_1"), ("middle", "B_1 B_6 B_9"), ("strong", "A_1 A_4 A_7 A_9")):
-        records = []
-        for name in names.split():
-            data = table_of(folder / f"test_{name}.csv")
-            moves = np.flatnonzero(np.abs(data[:, 1] - data[0, 1]) > _AT_REST * np.ptp(data[:, 1]))
-            data = data[moves[0] : moves[-1] + 1]
-            records.append(Record(name, 100.0, 1e-3 * data[:, 1], data[:, 2]))
+    for current, names in _TESTS.items():
+        records = of_damper(folder, names)
         laws, plain = [], []
         for number, out in enumerate(records):
             known = [*records[:number], *records[number + 1 :]]
@@ -251,10 +291,12 @@ def damper(folder: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=("earthquakes", "drive", "damper"))
+    parser.add_argument("what", choices=("earthquakes", "drive", "damper", "currents"))
     parser.add_argument("folder", type=Path)
     arguments = parser.parse_args()
-    {"earthquakes": earthquakes, "drive": drive, "damper": damper}[arguments.what](arguments.folder)
+    {"earthquakes": earthquakes, "drive": drive, "damper": damper, "currents": currents}[arguments.what](
+        arguments.folder
+    )
 
 
 if __name__ == "__main__":

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
+
 from nmt_core.text.number_words import significant
 from nmt_diagnose.law.terms import Term
 
@@ -13,6 +15,7 @@ _SMALL_SHARE = 0.05
 _SLACK_SHARE = 0.2
 """The same of sliders with slack: a grid of sliders takes some of them for its corners."""
 _SLIDERS = ("slider", "slack slider", "bristle", "weakening bristle")
+_PAST_THE_FALL = 5.0  # speed at which nothing is left of what falls with it, over the largest speed of its formula
 _ONE_RATIO = 1.6
 """Ratio of slip displacements up to which sliders of a grid stand for one between them."""
 
@@ -37,7 +40,17 @@ def family(terms: Sequence[tuple[Term, float]]) -> str:
         most = max(force for _, force in sliders)
         large = [slip for slip, force in sliders if force > _SMALL_SHARE * most]
         return "friction of many sliders" if max(large) > _ONE_RATIO * min(large) else Term("slider").form.words
-    return words["weakening friction" if "weakening friction" in kinds else min(kinds)]
+    return words["weakening friction" if _weakens(terms) else min(kinds - {"weakening friction"} or kinds)]
+
+
+def _weakens(terms: Sequence[tuple[Term, float]]) -> bool:
+    """Whether dry friction falls with speed, and is not a knee of another shape."""
+    falling = [term for term, _ in terms if term.kind == "weakening friction"]
+    if not falling:
+        return False
+    v = np.linspace(0.0, _PAST_THE_FALL * max(max(term.first, term.second) for term in falling), 400)
+    force = np.sum([value * term.force(0.0 * v, v) for term, value in terms], axis=0)
+    return bool(force.max() - force[-1] > _SMALL_SHARE * force.max())
 
 
 def _sliding_force(term: Term, coefficient: float) -> float:

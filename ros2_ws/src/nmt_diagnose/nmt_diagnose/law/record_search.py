@@ -114,12 +114,12 @@ class RecordSearch:
             grown = [(one, law) for one in kept for law in self._beside(one, list(families.values()))]
             others = sorted((law for _, law in grown), key=lambda law: law.score)
             # A block is told beside those that it stands with, not beside another law.
-            told = sorted((law for one, law in grown if law.score * ratio <= one.score), key=lambda law: law.score)
-            if not told or kept[0].score <= THRESHOLDS.law.second_from_score:
+            better = sorted((law for one, law in grown if law.score * ratio <= one.score), key=lambda law: law.score)
+            if not better or kept[0].score <= THRESHOLDS.law.second_from_score:
                 return result or others
-            near = [law for law in told[1:] if law.score <= told[0].score * ratio]
+            near = [law for law in better[1:] if law.score <= better[0].score * ratio]
             # What is gone on from is the best law and the shortest that is alike.
-            goes_on = [told[0], min(near, key=lambda law: (len(law.terms), law.score))] if near else told[:_KEPT]
+            goes_on = [better[0], min(near, key=lambda law: (len(law.terms), law.score))] if near else better[:_KEPT]
             kept = sorted((self.polished(law) for law in goes_on), key=lambda law: law.score)
             result += kept + [law for law in others if all(law is not other for other in goes_on)]
             kept = [self._weighed(kept[0]), *(self.law(law.blocks) for law in kept[1:])]

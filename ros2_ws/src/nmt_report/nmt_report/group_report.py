@@ -13,16 +13,15 @@ from nmt_diagnose.units.unit_group import Quantity, UnitGroup, explanation_words
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import BLUE, INK, ORANGE, ReportFigure, figure_style
-from nmt_rig.rig import Rig
 
 _DRAWN = 8
 
 
-def group_page(rig: Rig, group: UnitGroup, reports: Sequence[tuple[str, str]] = ()) -> str:
+def group_page(name: str, description: str, group: UnitGroup, reports: Sequence[tuple[str, str]] = ()) -> str:
     """The whole page.
 
     Args:
-        rig: the model.
+        name, description: of the model.
         group: of :func:`nmt_diagnose.units.unit_group.unit_group`.
         reports: name and address of the report of each diagnosis.
     """
@@ -33,8 +32,8 @@ def group_page(rig: Rig, group: UnitGroup, reports: Sequence[tuple[str, str]] = 
     healthy = not odd and all(label == "none" for _, _, label in group.explanations)
     page = ResponsePage(
         kicker="Diagnosis of several units",
-        heading=rig.name,
-        subtitle=rig.description,
+        heading=name,
+        subtitle=description,
         verdict=(group.sentences[0] if group.sentences else "Nothing to compare.", "good" if healthy else "partly"),
         cards=[("Units", str(len(group.units)), f"{len(group.explanations)} diagnoses")],
         answers=[("Parameters", " ".join(group.sentences[1:]))] if group.sentences[1:] else [],

@@ -45,7 +45,8 @@ class DiagnoseOptions:
     group: Path | None = option(
         None,
         "in place of --real: CSV table of several units of one type, with the columns recording, unit, and mounting, "
-        "day, repeat where they differ; each is diagnosed, then all together",
+        "day, repeat where they differ; each is diagnosed, then all together; of a robot beside --real: with the "
+        "columns joint, unit and part, which joints are meant to be alike; several logs are its repeats",
         metavar="TABLE",
     )
     floor: tuple[Path, ...] = option(
@@ -106,10 +107,10 @@ def run(options: DiagnoseOptions) -> int:
     """
     from nmt_bench.commands.robot_diagnosis import diagnose_robot_log, is_robot
 
-    if bool(options.real) == (options.group is not None):
-        raise BenchError("Give the recordings: --real BAG for one unit, or --group TABLE for several, not both.")
     if is_robot(options.model):
         return diagnose_robot_log(options)
+    if bool(options.real) == (options.group is not None):
+        raise BenchError("Give the recordings: --real BAG for one unit, or --group TABLE for several, not both.")
     if options.why and not options.force and (options.out / DIAGNOSIS).is_file():
         return _asked_again(options)
     check_output(options.out, options.force)

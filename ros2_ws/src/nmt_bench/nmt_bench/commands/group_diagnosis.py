@@ -52,7 +52,7 @@ def diagnose_group(
         group = unit_group(diagnoses, varied)
         content = {"format": "nmt units 1", "model": str(options.model), "group": group.to_mapping()}
         write_whole(Path(folder) / "diagnosis.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
-        write_whole(Path(folder) / "report.html", group_page(rig, group, folders))
+        write_whole(Path(folder) / "report.html", group_page(rig.name, rig.description, group, folders))
     console.print()
     for sentence in group.sentences:
         console.print(sentence, markup=False, highlight=False, soft_wrap=True)

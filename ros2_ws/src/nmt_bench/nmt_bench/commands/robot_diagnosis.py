@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from nmt_bench.commands.diagnose_command import DiagnoseOptions
     from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
-_ONLY_RIGS = ("group", "floor", "set", "without", "hold_out", "matters", "why", "calibration")
+_ONLY_RIGS = ("floor", "set", "without", "hold_out", "matters", "why", "calibration")
 
 
 def is_robot(model: str) -> bool:
@@ -41,11 +41,13 @@ def diagnose_robot_log(options: DiagnoseOptions) -> int:
     unused = [name for name in _ONLY_RIGS if getattr(options, name)]
     if unused:
         raise BenchError(f"--{unused[0].replace('_', '-')} belongs to rigs and says nothing of a robot; leave it out.")
+    if not options.real:
+        raise BenchError("Give a log of the robot's joints: --real LOG; --group TABLE says which joints are alike.")
     check_output(options.out, options.force)
     console = make_console()
     started = time.monotonic()
     with DiagnosisProgress(console, options.quiet) as progress:
-        diagnosis = diagnose_robot_by_logs(Path(options.model), options.real, progress.update)
+        diagnosis = diagnose_robot_by_logs(Path(options.model), options.real, progress.update, options.group)
         progress.update("writing the report")
         with OutputFolder(options.out, options.force) as folder:
             write_robot_diagnosis(diagnosis, folder)
@@ -102,6 +104,8 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
             joint.joint.name, joint.difference, f"{100 * joint.closed:.0f} %", f"{joint.left:.3f}", joint.remains
         )
     console.print(table)
+    for sentence in () if diagnosis.group is None else diagnosis.group.sentences:
+        console.print(Text(f"Units: {sentence}"), soft_wrap=True)
     for other in diagnosis.others:
         console.print(Text(f"Held out: {other.sentence}"), soft_wrap=True)
     for request in diagnosis.next.requests:

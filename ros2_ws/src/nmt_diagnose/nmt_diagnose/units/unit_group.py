@@ -77,35 +77,69 @@ class UnitGroup:
         return mapping
 
 
+@dataclass(frozen=True)
+class Stated:
+    """A value that one diagnosis states.
+
+    Attributes:
+        name, of_effect, initial: of the quantity.
+        unit, setting: whose it is.
+        value: with its uncertainty and SI unit.
+    """
+
+    name: str
+    of_effect: bool
+    initial: float
+    unit: str
+    setting: str
+    value: Value
+
+
 def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
     """Put diagnoses of several units together; each has its own ±, and nothing is fitted again."""
     explanations = tuple((each.unit, each.setting, _label(each.diagnosis)) for each in diagnoses)
-    found: dict[str, tuple[str, bool, float, list[Estimate]]] = {}
+    stated: list[Stated] = []
     for each in diagnoses:
         diagnosis = each.diagnosis
         if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
+            words = explanation_words(_label(diagnosis))
             for name, value in diagnosis.ranking[0].parameters.items():
-                _take(
-                    found,
-                    f"{explanation_words(_label(diagnosis))}: {name}",
-                    value.unit,
-                    True,
-                    0.0,
-                    each,
-                    value,
-                )
+                stated.append(Stated(f"{words}: {name}", True, 0.0, each.unit, each.setting, value))
         for row in diagnosis.calibration:
             to = Value(row.to, row.std, row.unit, row.shared_std)
-            _take(found, row.name, row.unit, False, row.start, each, to)
-    compared = {name: entry for name, entry in found.items() if len({estimate.unit for estimate in entry[3]}) > 1}
-    quantities = [
-        Quantity(name, unit, of_effect, initial, tuple(estimates), components(estimates, len(compared)))
-        for name, (unit, of_effect, initial, estimates) in compared.items()
-    ]
+            stated.append(Stated(row.name, False, row.start, each.unit, each.setting, to))
+    return grouped(explanations, of_explanations(explanations), stated, varied)
+
+
+def grouped(
+    explanations: Sequence[tuple[str, str, str]], sentences: Sequence[str], stated: Sequence[Stated], varied: str
+) -> UnitGroup:
+    """Components of every quantity that two units or more have.
+
+    Args:
+        explanations: unit, setting, and what was named.
+        sentences: on the explanations.
+        stated: all values.
+        varied: what differs within units.
+    """
+    by_name: dict[str, list[Stated]] = {}
+    for each in stated:
+        if math.isfinite(each.value.value) and math.isfinite(each.value.std) and each.value.std > 0.0:
+            by_name.setdefault(each.name, []).append(each)
+    compared = [values for values in by_name.values() if len({each.unit for each in values}) > 1]
+    quantities = []
+    for values in compared:
+        first, estimates = values[0], tuple(_estimate(each) for each in values)
+        quantities.append(
+            Quantity(
+                first.name, first.value.unit, first.of_effect, first.initial, estimates,
+                components(estimates, len(compared)),
+            )
+        )  # fmt: skip
     quantities.sort(key=lambda quantity: not quantity.of_effect)
-    units = tuple(dict.fromkeys(each.unit for each in diagnoses))
-    sentences = (*_of_explanations(units, explanations), *(s for q in quantities for s in _of_quantity(q, varied)))
-    return UnitGroup(units, explanations, tuple(quantities), sentences, varied)
+    units = tuple(dict.fromkeys(unit for unit, _, _ in explanations))
+    text = (*sentences, *(s for q in quantities for s in _of_quantity(q, varied)))
+    return UnitGroup(units, tuple(explanations), tuple(quantities), text, varied)
 
 
 def explanation_words(label: str) -> str:
@@ -123,18 +157,15 @@ def _label(diagnosis: Diagnosis) -> str:
     return f"{head.effect}@{head.detail or head.place}"
 
 
-def _take(
-    found: dict[str, tuple[str, bool, float, list[Estimate]]], name: str, unit: str, of_effect: bool, initial: float,
-    each: UnitDiagnosis, value: Value,
-) -> None:  # fmt: skip
-    if math.isfinite(value.value) and math.isfinite(value.std) and value.std > 0.0:
-        alone = math.sqrt(max(value.std**2 - value.shared_std**2, (_LEAST_ALONE * value.std) ** 2))
-        estimate = Estimate(each.unit, each.setting, value.value, alone, value.shared_std)
-        found.setdefault(name, (unit, of_effect, initial, []))[3].append(estimate)
+def _estimate(stated: Stated) -> Estimate:
+    value = stated.value
+    alone = math.sqrt(max(value.std**2 - value.shared_std**2, (_LEAST_ALONE * value.std) ** 2))
+    return Estimate(stated.unit, stated.setting, value.value, alone, value.shared_std)
 
 
-def _of_explanations(units: Sequence[str], explanations: Sequence[tuple[str, str, str]]) -> list[str]:
-    """Whether the units have one explanation."""
+def of_explanations(explanations: Sequence[tuple[str, str, str]]) -> list[str]:
+    """Whether the units have one explanation, in sentences."""
+    units = tuple(dict.fromkeys(unit for unit, _, _ in explanations))
     by_unit = {unit: sorted({label for name, _, label in explanations if name == unit}) for unit in units}
     labels = {label for found in by_unit.values() for label in found}
     if len(labels) == 1:

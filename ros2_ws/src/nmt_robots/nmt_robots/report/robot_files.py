@@ -1,4 +1,4 @@
-"""``diagnosis.json``, ``joints.csv``, ``report.html``, ``robot.xml``, ``changes.csv`` and ``trajectory`` of a robot."""
+"""Files of a robot's diagnosis: answers, page, changed model, next motion, and joints that are meant to be alike."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 from nmt_core.bench_version import bench_version
 from nmt_core.files.plain_json import plain_json
 from nmt_core.files.whole_file import csv_text, write_result
+from nmt_report.group_report import group_page
 from nmt_robots.report.robot_page import robot_page
 from nmt_robots.report.trajectory_files import joint_trajectory, trajectory_csv
 from nmt_robots.report.written_back import changes, robot_text
@@ -40,6 +41,9 @@ def write_robot_diagnosis(diagnosis: RobotDiagnosis, folder: Path) -> None:
     write_result(folder / "trajectory.csv", trajectory_csv(diagnosis.next))
     write_result(folder / "trajectory.yaml", joint_trajectory(diagnosis.next))
     write_result(folder / "report.html", robot_page(diagnosis))
+    if diagnosis.group is not None:
+        title = f"Joints of {diagnosis.model.path.stem} that are meant to be alike"
+        write_result(folder / "units.html", group_page(title, "", diagnosis.group, [("the robot", "report.html")]))
 
 
 def joints_csv(diagnosis: RobotDiagnosis) -> str:

@@ -51,11 +51,13 @@ class OtherLog:
         terms: that differ from the model by one of the logs.
         left: by joint: rms of the torque, of what the model as it is, and of what the first log's terms leave of it,
             each about its mean, N·m.
+        joints: the answer by this log alone.
     """
 
     source: str
     terms: tuple[ComparedTerm, ...]
     left: dict[str, tuple[float, float, float]]
+    joints: tuple[JointVerdict, ...] = ()
 
     @property
     def sentence(self) -> str:
@@ -101,7 +103,7 @@ def other_log(first: RobotDiagnosis, other: RobotDiagnosis) -> OtherLog:
         number = other.log.joints.index(name)
         problem = JointProblem(other.motion, number, signals.of(number), other.log.joints)
         left[name] = _left(problem, verdict)
-    return OtherLog(other.log.source, tuple(terms), left)
+    return OtherLog(other.log.source, tuple(terms), left, other.joints)
 
 
 def _compared(verdict: JointVerdict, match: JointVerdict) -> list[ComparedTerm]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.text.number_words import percent
+from nmt_diagnose.units.unit_group import UnitGroup
 from nmt_robots.log.columns_of_file import read_columns
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log.proposal import propose_sidecar
@@ -36,6 +37,7 @@ from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading, he
 from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
 from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
+from nmt_robots.verdict.alike_joints import joint_group, read_joint_table
 from nmt_robots.verdict.joint_verdict import (
     JointVerdict,
     by_shared_delay,
@@ -71,6 +73,7 @@ class RobotDiagnosis:
         next: what to move next.
         others: further logs that test the answer.
         replay: the log through the model as given and as changed; None where it was not asked for.
+        group: joints that are meant to be alike; None where nobody said which are.
     """
 
     model: RobotModel
@@ -83,6 +86,7 @@ class RobotDiagnosis:
     next: NextMotion
     others: tuple[OtherLog, ...] = ()
     replay: Replay | None = None
+    group: UnitGroup | None = None
 
     def left_over(self, which: str) -> float:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
@@ -130,6 +134,7 @@ class RobotDiagnosis:
             "next_motion": [request.to_mapping() for request in self.next.requests],
             "other_logs": [item.to_mapping() for item in self.others],
             "replay": None if self.replay is None else self.replay.to_mapping(),
+            "group": None if self.group is None else self.group.to_mapping(),
             "notes": list(self.log.notes),
         }
 
@@ -200,17 +205,22 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     return RobotDiagnosis(robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts), following)
 
 
-def diagnose_robot_by_logs(model: Path, real: Sequence[Path], progress: Progress = lambda _: None) -> RobotDiagnosis:
+def diagnose_robot_by_logs(
+    model: Path, real: Sequence[Path], progress: Progress = lambda _: None, alike: Path | None = None
+) -> RobotDiagnosis:
     """Diagnose a robot by its first log, replay it, and test the answer on the others, of which nothing is fitted.
 
     Args:
         model: MJCF or URDF file.
         real: logs or their sidecars.
         progress: is told what is being done.
+        alike: table of joints that are meant to be alike; the logs are its repeats.
 
     Raises:
-        BenchError: as :func:`diagnose_robot`.
+        BenchError: as :func:`diagnose_robot`; the table cannot be used.
     """
+    if alike is not None:
+        read_joint_table(alike, [joint.name for joint in RobotModel(model).joints])
     first = diagnose_robot(model, real[0], progress)
     progress("replaying the log")
     replay = replayed(first.model, first.log, first.motion, first.as_well, first.joints, first.findings)
@@ -218,7 +228,11 @@ def diagnose_robot_by_logs(model: Path, real: Sequence[Path], progress: Progress
     for path in real[1:]:
         progress(f"testing on {path.name}")
         others.append(other_log(first, diagnose_robot(model, path)))
-    return replace(first, others=tuple(others), replay=replay)
+    group = None
+    if alike is not None:
+        places = read_joint_table(alike, first.log.joints)
+        group = joint_group([first.joints, *(other.joints for other in others)], places)
+    return replace(first, others=tuple(others), replay=replay, group=group)
 
 
 def check_units(log: JointLog, joints: tuple[Joint, ...]) -> None:

@@ -15,7 +15,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, settings
 
 from nmt_bench.orchestration.bench_domain import BenchDomain
 
@@ -33,16 +32,24 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 _LOG_FOLDER = pytest.StashKey[str]()
 
 
-# The same examples every time where a failure would stop everybody; new ones on one's own machine. How long an example
-# takes says how busy the computer is, and nothing of the program.
-settings.register_profile(
-    "nmt", derandomize=bool(os.environ.get("CI")), deadline=None, suppress_health_check=[HealthCheck.too_slow]
-)
-settings.load_profile("nmt")
-
-
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[_LOG_FOLDER] = os.environ["ROS_LOG_DIR"] = tempfile.mkdtemp(prefix="nmt-test-logs-")
+    if not config.option.help:
+        _configure_hypothesis()
+
+
+def _configure_hypothesis() -> None:
+    """The same examples every time where a failure would stop everybody; new ones on one's computer.
+
+    How long an example takes says how busy the computer is, and nothing of the program. The import takes longer than
+    ``--help`` may.
+    """
+    from hypothesis import HealthCheck, settings
+
+    settings.register_profile(
+        "nmt", derandomize=bool(os.environ.get("CI")), deadline=None, suppress_health_check=[HealthCheck.too_slow]
+    )
+    settings.load_profile("nmt")
 
 
 @pytest.hookimpl(hookwrapper=True)

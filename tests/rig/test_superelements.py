@@ -145,6 +145,42 @@ def test_rigid_body_modes_have_no_frequency():
     np.testing.assert_allclose(lowest_frequencies(free, 3), [0.0, 3.0], rtol=1e-9)
 
 
+def test_a_light_free_part_keeps_its_rigid_motion_where_a_file_rounds():
+    """A mode at rest, √(2 k / m) and √(k / m); the stiffness of the first is negative by what ten figures leave."""
+    rounding = 1e-5
+    light = 1e3 * np.array([[1.0, -1.0], [-1.0, 1.0]]) - rounding * np.eye(2)
+    stiffness = np.zeros((3, 3))
+    stiffness[0, 0], stiffness[1:, 1:] = 1e12, light
+    found = lowest_frequencies(Matrices(np.diag([1.0, 1e-9, 1e-9]), stiffness).checked(), 2)
+    np.testing.assert_allclose(found, [0.0, 1e6, np.sqrt(2.0) * 1e6], rtol=1e-6)
+
+
+def test_files_that_calculix_wrote_have_its_frequencies():
+    """CalculiX 2.20 on bar.inp; the frequencies are those that it prints itself without MATRIXSTORAGE."""
+    path = Path(__file__).with_name("calculix") / "bar.sti"
+    figures = model_figures({"file": path}, "mm-t-N")
+    np.testing.assert_allclose(figures.frequencies_hz[:4], [3744.688, 5326.356, 11218.80, 22435.25], rtol=1e-6)
+    assert (len(figures.nodes), figures.directions, figures.doubt_of_units) == (12, "x, y and z", "")
+    # Of the mass of a linear element next to a clamp a third moves with its free end, and there are three.
+    assert figures.mass_kg["x"] == pytest.approx(60.0 * 20.0 * 10.0 * 2.7e-6 * 7 / 9)
+    assert "its mass is" in model_figures({"file": path}, "m-kg-N").doubt_of_units
+
+
+def test_a_superelement_that_nastran_wrote_is_read_by_its_text_beside_it():
+    """Of the files that pyyeti tests its own readers with."""
+    pyyeti = pytest.importorskip("pyyeti", reason="pyyeti, which reads OP4, is not installed")
+    folder = Path(pyyeti.__file__).parent / "tests" / "nas2cam_extseout"
+    if not (folder / "outboard.op4").exists():
+        pytest.skip("this pyyeti comes without its tests")
+    figures = model_figures({"file": folder / "outboard.op4"}, "m-kg-N")
+    assert (figures.rows, figures.nodes, figures.modal_coordinates) == (46, [3, 11, 19, 27], 22)
+    assert figures.directions == "x, y, z, rx, ry and rz"
+    assert figures.frequencies_hz[:6] == [0.0] * 6
+    assert figures.frequencies_hz[6] > 1.0
+    with pytest.raises(BenchError, match=r"outboard\.op4 beside it may have them"):
+        model_figures({"file": folder / "outboard.pch"}, "m-kg-N")
+
+
 def test_held_and_empty_rows_are_left_out(tmp_path):
     matrices, rows, _ = cantilever()
     stiffness = matrices["stiffness"].copy()

@@ -23,8 +23,9 @@ _FREE = 1e-13
 _FACTORED_ONCE = 2000
 # Share by which the modes that a reduction leaves out may move a frequency, for the band that it states.
 TRUNCATION = 1e-3
-# Share of the mean ω² of the rows that the stiffness of a free structure is lifted by.
-_LIFT = 1e-9
+# Shares of the mean ω² of the rows that the stiffness of a free structure is lifted by; files of ten figures leave the
+# rigid-body modes of light structures more negative than the first.
+_LIFTS = (1e-9, 1e-7)
 # Share of the largest 1/ω² below which a mode has no mass.
 _MASSLESS = 1e-14
 _RIGID_BODY_MODES = 6
@@ -329,7 +330,7 @@ def _with_parts(
     """
     moving = np.delete(basis, np.s_[points - held : points], axis=1)
     squares, shapes = eigh(projection(stiffness, moving), projection(mass, moving))
-    squares = np.maximum(squares[:_PART_MODES], _LIFT * squares[-1])
+    squares = np.maximum(squares[:_PART_MODES], _LIFTS[0] * squares[-1])
     lowest = moving @ (shapes[:, :_PART_MODES] / np.sqrt(squares))
     known = basis[inner, points:]
     k_ii, m_ii = stiffness[inner][:, inner], mass[inner][:, inner]
@@ -383,10 +384,13 @@ def lowest_frequencies(matrices: Matrices, count: int) -> Array:
     """
     heavy = matrices.size - _empty_rows(matrices.mass).size
     stiffness, mass = sparse.csc_matrix(matrices.stiffness), sparse.csc_matrix(matrices.mass)
-    lift = _LIFT * float(stiffness.diagonal().sum() / mass.diagonal().sum())
-    lifted = (stiffness + lift * mass).tocsc()
-    factor = _factor(lifted)
-    if factor is None or not np.all(factor.U.diagonal() > 0.0):
+    mean = float(stiffness.diagonal().sum() / mass.diagonal().sum())
+    for lift in _LIFTS:
+        lifted = (stiffness + lift * mean * mass).tocsc()
+        factor = _factor(lifted)
+        if factor is not None and np.all(factor.U.diagonal() > 0.0):
+            break
+    else:
         raise ValueError("stiffness has a negative eigenvalue, or nothing holds a row without mass")
     modes = _lowest(lifted, mass, factor, min(count + _RIGID_BODY_MODES, heavy))
     squares = np.einsum("ij,ij->j", modes, np.asarray(stiffness @ modes))
@@ -394,7 +398,7 @@ def lowest_frequencies(matrices: Matrices, count: int) -> Array:
     candidates = range(1, min(_RIGID_BODY_MODES, squares.size - 1) + 1)
     free = max((k for k in candidates if squares[k - 1] < _RIGID * squares[k]), default=0)
     squares[:free] = 0.0
-    return np.asarray(np.sqrt(squares[: free + count]))
+    return np.asarray(np.sqrt(np.maximum(squares[: free + count], 0.0)))
 
 
 def _held(stiffness: Any) -> Any:

@@ -22,7 +22,7 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.best_fit import StartName
 from nmt_diagnose.fit.candidate_starts import starts_of
 from nmt_diagnose.fit.fitting import Start
-from nmt_diagnose.fit.low_level_modes import Modes, measured_modes, more_modes
+from nmt_diagnose.fit.low_level_modes import Modes, measured_modes, more_modes, side_by_side
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.prediction.operating_range import operating_range, receptances
 from nmt_diagnose.search import search as searching
@@ -192,6 +192,16 @@ def test_what_moves_modes_adds_none():
     assert more_modes(at(20.0, 45.0, 60.0), at(22.0, 61.0), BAND)
     assert not more_modes(at(20.0, 45.0, 60.0), at(22.0, 50.0, 70.0), BAND)
     assert not more_modes(at(20.0, 60.0, 89.0), at(22.0, 62.0, 95.0), BAND)
+
+
+def test_modes_of_several_tests_stand_side_by_side():
+    """Each test has its channels; the second has lost a pole to rounding, next to critical damping."""
+    poles = np.array([-0.1 + 10.0j, -0.2 + 20.0j, -400.0 + 1e-3j])
+    shapes = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]], dtype=complex)
+    several = side_by_side([Modes(poles, shapes), Modes(poles[:2] * (1.0 + 1e-9), 10.0 * shapes[:2, :1])])
+    np.testing.assert_array_equal(several.poles, poles)
+    np.testing.assert_array_equal(several.shapes[:2], [[1.0, 2.0, 10.0], [3.0, 4.0, 30.0]])
+    np.testing.assert_array_equal(several.shapes[2, :2], [5.0, 6.0])
 
 
 @pytest.mark.court(said="missing mode")

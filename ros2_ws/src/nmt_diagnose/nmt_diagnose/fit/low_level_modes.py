@@ -83,6 +83,16 @@ class Modes:
         return np.asarray(np.abs(self.shapes.conj() @ other.shapes.T) ** 2 / np.maximum(np.outer(*squares), 1e-300))
 
 
+def side_by_side(models: Sequence[Modes]) -> Modes:
+    """Modes of one structure with the channels of several tests, one after the other.
+
+    The tests may differ by a pole next to critical damping, which rounding makes two real ones; each takes the nearest.
+    """
+    first = models[0].poles
+    nearest = [np.argmin(np.abs(first[:, None] - each.poles), axis=1) for each in models]
+    return Modes(first, np.hstack([each.shapes[order] for each, order in zip(models, nearest, strict=True)]))
+
+
 def measured_modes(
     frequency_hz: FloatArray, responses: ComplexArray, expected: int, least_share: float | None = None
 ) -> Modes:
@@ -337,7 +347,7 @@ class LowLevelModes:
         result: list[LackingMode] = []
         for looked in self._looked.values():
             test, lines = looked[0].test, np.unique(np.concatenate([each.lines for each in looked]))
-            model = Modes(looked[0].model.poles, np.hstack([each.model.shapes for each in looked]))
+            model = side_by_side([each.model for each in looked])
             inside = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
             responses = np.vstack([each.over(lines) for each in looked])
             found = measured_modes(lines, responses, int(inside.sum()), THRESHOLDS.modes.missing_share)

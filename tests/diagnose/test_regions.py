@@ -91,8 +91,18 @@ def test_an_effect_of_a_region_is_what_it_says(label, expected):
     np.testing.assert_allclose(squares(parametrisation.rig(theta)), exact(**truth), rtol=1e-4)
     found, word = parametrisation.reported(theta, 0)[name]
     assert found == pytest.approx(reported)
-    assert word.startswith(unit)
+    assert word == unit
     np.testing.assert_allclose(squares(rig_of()), exact(), rtol=1e-9)
+
+
+def test_a_support_that_turns_has_the_units_of_a_rotation():
+    rig = rig_of(foot={"translation_rows": [], "rotation_rows": [2]})
+    candidate = region_candidates(rig)["clamp_compliance@foot rotation"]
+    parametrisation = Parametrisation(rig, (), (candidate,))
+    theta = np.array([1.0 / FOOT / candidate.site.scales["compliance"]])
+    found, word = parametrisation.reported(theta, 0)["k"]
+    assert (found, word) == (pytest.approx(FOOT), "N m/rad")
+    np.testing.assert_allclose(squares(parametrisation.rig(theta)), exact(foot=FOOT), rtol=1e-4)
 
 
 def test_the_scale_of_a_support_lowers_the_mode_by_one_percent():

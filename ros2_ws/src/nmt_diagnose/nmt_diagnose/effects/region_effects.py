@@ -67,7 +67,7 @@ def _mass_report(site: Site, values: Mapping[str, float]) -> Reported:
 def _support_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     """Supports of finite-element models that are ideal as the model has them."""
     return tuple(
-        Site(Location("boundary", detail=f"{name} {option}"), {"compliance": scale}, option=f"{name} {key}")
+        Site(Location("boundary", detail=f"{name} {option}"), {"compliance": scale}, option=option)
         for name, region in _regions(rig)
         for option, (rows, key) in SUPPORT_KEYS.items()
         if getattr(region, rows) and getattr(region, key) == 0.0
@@ -92,7 +92,7 @@ def _support_scale(rig: Rig, region: RegionSection, rows: list[int], omega: floa
 
 
 def _with_support(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    name, key = site.option.split()
+    name, key = site.location.detail.removesuffix(f" {site.option}"), SUPPORT_KEYS[site.option][1]
     return with_value(rig, ("structure", "regions", name, key), values["compliance"])
 
 

@@ -202,6 +202,8 @@ def test_modes_of_several_tests_stand_side_by_side():
     np.testing.assert_array_equal(several.poles, poles)
     np.testing.assert_array_equal(several.shapes[:2], [[1.0, 2.0, 10.0], [3.0, 4.0, 30.0]])
     np.testing.assert_array_equal(several.shapes[2, :2], [5.0, 6.0])
+    none = Modes(poles[:0], shapes[:0])
+    assert side_by_side([none, none]).shapes.shape == (0, 4)
 
 
 @pytest.mark.court(said="missing mode")

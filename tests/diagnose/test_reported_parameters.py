@@ -43,6 +43,14 @@ REPORTED = {
             "chi": lambda rig: last(rig).exponent,
         },
     ),
+    "local_stiffness@link": ("matrices", {"factor": lambda rig: region(rig, "link").stiffness_factor}),
+    "local_mass@tip": (
+        "matrices",
+        {
+            "factor": lambda rig: region(rig, "tip").mass_factor,
+            "m": lambda rig: region(rig, "tip").moved_kg * (region(rig, "tip").mass_factor - 1.0),
+        },
+    ),
     "amplifier_saturation": ("chain", {"V": lambda rig: rig.exciter.amplifier_saturation_v}),
     "clipping@x1": (
         "chain",
@@ -64,6 +72,10 @@ def fastest(point: int) -> float:
 
 def sensor(rig: Rig, channel: str):
     return next(s for s in rig.sensors if rig.sensor_channel(s) == channel)
+
+
+def region(rig: Rig, name: str):
+    return rig.structure.regions[name]
 
 
 def last(rig: Rig):

@@ -88,6 +88,9 @@ def side_by_side(models: Sequence[Modes]) -> Modes:
 
     The tests may differ by a pole next to critical damping, which rounding makes two real ones; each takes the nearest.
     """
+    fewest = min(models, key=lambda each: each.poles.size)
+    if not fewest.poles.size:
+        return Modes(fewest.poles, np.zeros((0, sum(each.shapes.shape[1] for each in models)), dtype=complex))
     first = models[0].poles
     nearest = [np.argmin(np.abs(first[:, None] - each.poles), axis=1) for each in models]
     return Modes(first, np.hstack([each.shapes[order] for each, order in zip(models, nearest, strict=True)]))

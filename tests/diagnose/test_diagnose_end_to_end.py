@@ -24,7 +24,7 @@ KEYS = {
     "ranking": ("effect", "place", "probability", "equivalents", "parameters", "closed"),
     "gap": ("before", "after", "floor", "closed", "low", "high", "per_observable", "held_out"),
     "next_test": ("test", "command", "separates", "expected_sigma"),
-    "calibration": ("name", "start", "to", "std"),
+    "calibration": ("name", "start", "to", "std", "shared_std"),
     "inputs": ("bags", "tests", "held_out", "seed"),
 }
 PLACES = {
@@ -60,7 +60,7 @@ def test_diagnosis_json_has_the_keys_of_the_contract(hardening: DiagnosisOutcome
     first = found["ranking"][0]
     assert set(first["closed"]) == {"value", "low", "high"}
     for value in first["parameters"].values():
-        assert set(value) == {"value", "std", "unit"}
+        assert set(value) == {"value", "std", "unit", "shared_std"}
         assert value["std"] > 0.0
     for item in found["gap"]["per_observable"].values():
         assert {"before", "after", "floor", "before_unit", "after_unit", "unit"} <= set(item)

@@ -11,6 +11,7 @@ import pytest
 from diagnose.simulated_levels import FORCES, chain_of_masses, held, levels_of
 
 from nmt_diagnose.law import reading
+from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_blocks import Block, blocks
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
@@ -115,9 +116,12 @@ def largest_slip() -> float:
     return float(block.terms[-1].first)
 
 
-def dry_slip() -> float:
+def dry_slip(smallest: float = 1e-3) -> float:
+    """Slip displacement that stands for dry friction that was visited up to 1 mm, with a smallest level, m."""
     term = reading.LawTerm("friction", (0.01,), 2.0, 0.0, "N")
-    ((_, values),) = effects_of_law(reading.LocalLaw(1, 0, "", (term,), 1e-3, (), ()))
+    motion = (-smallest, 0.0, smallest, 0.0)
+    loop = ForceLoop(1, motion, motion, motion, motion, motion)
+    ((_, values),) = effects_of_law(reading.LocalLaw(1, 0, "", (term,), 1e-3, (), (loop,)))
     return values["slip_displacement"]
 
 
@@ -138,6 +142,7 @@ EDGES = {
     "second_from_score": lambda: [has_second(first, 0.1, 1.0) for first in (0.49, 0.51)] == [False, True],
     "least_null_score": lambda: [is_looked_for(score) for score in (0.99, 1.01)] == [False, True],
     "start_score_ratio": lambda: [worth_a_start(shares_of(score)) for score in (0.79, 0.81)] == [True, False],
+    "dry_stick_share": lambda: abs(dry_slip(5e-5) - 0.2 * 5e-5) < 1e-12,
     "dry_slip_share": lambda: abs(dry_slip() - 0.02 * 1e-3) < 1e-12,
 }  # fmt: skip
 

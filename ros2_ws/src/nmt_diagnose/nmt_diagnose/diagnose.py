@@ -415,10 +415,7 @@ def _sentences(
     if judgement.named is not None:
         text = (*text, *_relieving(findings.data, judgement.best))
     from_law = law_sentences(judgement.law, judgement.law_leads)
-    if judgement.partial and judgement.law_leads:
-        text = (f"{from_law[0]} {text[0]}", *text[1:], *from_law[1:])
-    else:
-        text = (*text, *from_law)
+    text = (f"{from_law[0]} {text[0]}", *text[1:], *from_law[1:]) if judgement.law_leads else (*text, *from_law)
     if verdict is Verdict.UNKNOWN and not GAP(judgement.alone).passed:
         share_of_signal, whose = findings.unexplained
         contradicts = f"The model leaves {percent(share_of_signal)} of {whose}, which is no noise."

@@ -75,7 +75,7 @@ class PoleSlopes:
             right.append(x)
             left.append(y)
             steepness.append(y @ (2.0 * pole * matrices.mass + matrices.damping) @ x)
-        self._right, self._left = np.array(right), np.array(left)
+        self._right, self._left = np.reshape(right, (-1, size)), np.reshape(left, (-1, size))
         self._steepness = np.array(steepness)
 
     def along(self, change: RestingMatrices) -> ComplexArray:

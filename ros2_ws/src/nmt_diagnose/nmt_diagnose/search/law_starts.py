@@ -105,7 +105,10 @@ def effects_of_law(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
         return [("second_friction_contact", _friction(stiffness, force))]
     if any(term.kind in ("friction", "weakening friction") for term in law.at_middle):
         force = sum(term.coefficient for term in law.at_middle if term.unit == "N")
-        slip = THRESHOLDS.law.dry_slip_share * law.valid_to_m
+        # A slider that sticks at the smallest level is no dry friction there.
+        smallest = min((0.5 * float(np.ptp(loop.displacement)) for loop in law.loops), default=law.valid_to_m)
+        shares = THRESHOLDS.law
+        slip = min(shares.dry_slip_share * law.valid_to_m, shares.dry_stick_share * smallest)
         return [("second_friction_contact", _friction(force / slip, force))]
     largest = sorted(law.at_middle, key=lambda term: -_size(term, law.valid_to_m))
     return [(name, values) for term in largest for name, values in _of_term(term)]

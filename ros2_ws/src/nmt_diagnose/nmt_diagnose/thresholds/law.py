@@ -109,6 +109,10 @@ class LawThresholds:
         0.8, "1", "Score with the law over that without it from which on the search begins at it, too.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
+    dry_stick_share: float = threshold(
+        0.2, "1", "The same over the motion of the smallest level, at most.",
+        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
+    )  # fmt: skip
     dry_slip_share: float = threshold(
         0.02, "1", "Slip displacement over the largest motion with which a slider stands for dry friction.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",

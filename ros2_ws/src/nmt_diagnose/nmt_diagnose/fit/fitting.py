@@ -188,7 +188,8 @@ class Data:
     def _over_measured(self, values: FloatArray) -> ComplexArray:
         """Predicted over measured response of each line, (k,)."""
         over = values[self.lines] - self.observations.values[self.lines]
-        return np.asarray(np.exp(np.minimum(over[0], THRESHOLDS.fits.largest_log_ratio) + 1j * over[1]))
+        with np.errstate(invalid="ignore"):  # lines that the model does not predict are not used
+            return np.asarray(np.exp(np.minimum(over[0], THRESHOLDS.fits.largest_log_ratio) + 1j * over[1]))
 
     @property
     def counts(self) -> FloatArray:

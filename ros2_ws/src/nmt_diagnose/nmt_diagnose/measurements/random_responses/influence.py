@@ -47,7 +47,9 @@ def influence_on_lines(
         ]
         for k, change in enumerate(changes):
             for turn in (1.0, 1j):
-                relative = change * turn / responses[line]
+                # A response of zero has no logarithm to change: its rows are not used.
+                there = responses[line] != 0.0
+                relative = np.divide(change * turn, responses[line], out=np.zeros_like(change), where=there)
                 column = np.zeros(len(rows))
                 channel = rows.channel[which]
                 column[which] = np.where(

@@ -330,6 +330,7 @@ class Paired(LowLevelModes):
         self.rig: Any = None
         self.tests, self.disordered, self.model = [], (), model
         self._lacking: list[tuple[float, str]] = []
+        self._looked = {}
 
     def modes(self, rig: Any, test: Any) -> Modes:
         return self.model
@@ -345,7 +346,9 @@ class Paired(LowLevelModes):
             test=np.zeros(level.size), level=level, channel=channel, part=part, frequency_hz=line[level]
         )
         values = np.where(part == Part.PHASE, np.angle(response)[level], np.log(np.abs(response))[level])
-        test: Any = SimpleNamespace(name="test", channels=(MOTION, MOTION))
+        test: Any = SimpleNamespace(
+            name="test", channels=(MOTION, MOTION), drive_point=1, referred_to="", span_s=None
+        )  # fmt: skip
         self._add(0, test, line, SimpleNamespace(rows=rows, values=values), {})  # type: ignore[arg-type]
 
 
@@ -413,6 +416,7 @@ class Searched(SimpleNamespace):
         noted: list[Any] = []
         super().__init__(
             tell=lambda sentence: None, exchanged=noted, leaves_noise_only=lambda single: False, parameters=(),
+            missing_modes=lambda null: [], _adds_a_mode=lambda number: False,
             _added=lambda base, wanted: list(found), _exchanged=lambda best, other, likely: noted.append(other),
         )  # fmt: skip
 

@@ -160,3 +160,16 @@ def test_changed_bytes_are_a_matrix_or_a_sentence(tmp_path, seed):
             for matrix in found.values() if isinstance(found, dict) else [found]:
                 if sparse.issparse(matrix):
                     (matrix + matrix.T) @ np.ones(matrix.shape[0]) if matrix.shape[0] == matrix.shape[1] else None
+
+
+@pytest.mark.parametrize("end", ["t", "e", "e+", "-", "E-", "nan", "0x", "\n3 3"])
+def test_a_last_line_that_is_no_number_is_refused(tmp_path, end):
+    """SciPy's reader reads past the end of the file there, or leaves the rest of the line out."""
+    (tmp_path / "k.mtx").write_text(f"%%MatrixMarket matrix coordinate real symmetric\n%\n2 2 2\n1 1 4\n2 2 4{end}")
+    with pytest.raises(BadFileError):
+        read_matrix(tmp_path / "k.mtx")
+
+
+def test_a_last_line_without_its_end_is_read(tmp_path):
+    (tmp_path / "k.mtx").write_text("%%MatrixMarket matrix coordinate real symmetric\n2 2 2\n1 1 4\n2 2 4.5e1")
+    np.testing.assert_array_equal(read_matrix(tmp_path / "k.mtx").toarray(), np.diag([4.0, 45.0]))

@@ -11,6 +11,7 @@ from nmt_rig.model.assembly import acceleration_output
 from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_system
+from nmt_rig.rig_places import find_rig
 
 RATE = 10_000.0
 FREE = "local_elements.0.tangential_stiffness_n_m=1e-6"
@@ -153,3 +154,10 @@ def test_a_file_with_exciter_and_other_exciters_is_refused(tmp_path):
     load_text.write_text(find_rig("frame").read_text() + "\nexciter: {kind: force, point: 1}\n")
     with pytest.raises(BenchError, match="either exciter or exciters"):
         load_rig(text)
+
+
+def test_a_kind_of_the_first_of_several_exciters_that_is_not_there_is_named(tmp_path):
+    text = find_rig("frame").read_text().replace("kind: electrodynamic_shaker", "kind: electrody", 1)
+    (tmp_path / "rig.yaml").write_text(text)
+    with pytest.raises(BenchError, match=r"exciter\.kind must be one of .*'electrodynamic_shaker'.*got 'electrody'"):
+        load_rig(tmp_path / "rig.yaml")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -254,6 +256,10 @@ def _sparse(parts: list[Any], columns: bool = False) -> Any:
     return kind((data.astype(float), indices, starts), (minor, major) if columns else (major, minor))
 
 
+# What no number and no space has, and an exponent or a sign that nothing follows.
+_NO_NUMBER = re.compile(rb"[^0-9eE+\-.\s]|[eE+\-](?=\s|$)")
+
+
 def _matrix_market(path: Path) -> Any:
     """A matrix of a Matrix Market file whose heading claims no more than its bytes can hold."""
     try:
@@ -264,6 +270,9 @@ def _matrix_market(path: Path) -> Any:
                 line = file.readline(4096)
             claimed = [int(word) for word in line.split()]
             left = path.stat().st_size - file.tell()
+            start, body = file.tell(), file.read()
+            file.seek(0)
+            head = file.read(start)
     except BenchError as error:
         raise BadFileError(str(error).rstrip(".")) from error
     except ValueError as error:
@@ -280,8 +289,11 @@ def _matrix_market(path: Path) -> Any:
         form == "array" and 8 * claimed[0] * claimed[1] > LARGEST_ARRAYS
     ):
         raise BadFileError(f"its heading claims {' x '.join(map(str, claimed))}, more than its {left} bytes hold")
+    if strange := _NO_NUMBER.search(body):
+        raise BadFileError(f"it has {strange.group().decode('latin-1')!r} where numbers are")
     try:
-        return io.mmread(path)
+        # The reader of SciPy reads past the end of a last line that does not end.
+        return io.mmread(BytesIO(head + body + b"\n"))
     except (ValueError, IndexError, OverflowError, TypeError, MemoryError) as error:
         raise BadFileError(f"it is not a Matrix Market file ({error})") from error
 

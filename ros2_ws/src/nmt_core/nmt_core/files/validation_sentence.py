@@ -142,7 +142,9 @@ def _section(model: type[BaseModel], values: Any, path: KeyPath) -> Any:
     section: Any = model
     node = values
     for part in path:
-        node = node[part]
+        # A key that the document has under another name, such as the first of several exciters.
+        there = part in node if isinstance(node, Mapping) else isinstance(node, Sequence) and isinstance(part, int)
+        node = node[part] if there else None
         section = _variant(section if isinstance(part, int) else section.model_fields[part].annotation, node)
     return section
 

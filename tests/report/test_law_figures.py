@@ -64,9 +64,27 @@ def test_the_table_has_term_and_reach() -> None:
     assert "20 → 2 standard deviations (10 % stay)" in text
 
 
+HEADING = "A force like hardening spring (point 5), which no effect of the library explains"
+
+
+def test_the_page_is_headed_by_the_law_and_says_a_warning_once() -> None:
+    text = re.sub(r"\s+", " ", text_of(page(reading())))
+    assert HEADING in text
+    report = fixture.report(Verdict.UNKNOWN, fixture.one_test())
+    warning = "The fit moves structure.density_kg_m3: check it."
+    warned = replace(
+        report.diagnosis, sentences=(*report.diagnosis.sentences, warning), warnings=(warning,), next_test=()
+    )  # fmt: skip
+    answered = re.sub(r"\s+", " ", text_of(diagnosis_page(replace(report, diagnosis=warned))))
+    assert answered.count(warning) == 1
+    assert "What next" not in answered
+
+
 @pytest.mark.parametrize("found", [None, reading("it needs a gain of 5 σ")])
 def test_a_law_that_is_not_stated_is_not_drawn(found: LawReading | None) -> None:
-    assert 'id="law-0"' not in page(found)
+    made = page(found)
+    assert 'id="law-0"' not in made
+    assert HEADING not in re.sub(r"\s+", " ", text_of(made))
 
 
 def as_read(kind: str, parameters: tuple[float, ...]) -> str:

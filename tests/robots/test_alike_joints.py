@@ -53,7 +53,8 @@ def test_the_arm_that_rubs_more_is_named_and_repeats_tell_scatter(
     words = ["diagnose", "--quiet", "--model", str(robot), *logs, "--group", str(table), "--out", str(out)]
     assert main(words) == 0
     printed = capsys.readouterr().out
-    assert "Units: elbow: " in printed
+    assert "Units: 4 units of 1 part: odd is arm c (elbow: Coulomb friction)" in printed
+    assert "Units: elbow: all 4 units: one effect for all, Coulomb friction." in printed
     assert "arm c differs from its sisters in elbow: Coulomb friction by" in printed.replace("\n", " ")
     group = json.loads((out / "diagnosis.json").read_text())["group"]
     friction = next(item for item in group["quantities"] if item["name"] == "elbow: Coulomb friction")

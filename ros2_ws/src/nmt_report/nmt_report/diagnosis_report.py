@@ -181,9 +181,12 @@ def _verdict(d: Diagnosis) -> tuple[str, str]:
 
 
 def _answers(d: Diagnosis) -> list[tuple[str, str]]:
-    names = [*QUESTIONS, "What next"]
-    names += [""] * (len(d.sentences) - len(names))
-    return list(zip(names, d.sentences, strict=False))
+    """Sentences by the question that each answers; warnings stand apart."""
+    sentences = [sentence for sentence in d.sentences if sentence not in d.warnings]
+    # Where nothing is named nothing says how far the gap shrinks.
+    names = [*(QUESTIONS[:2] if d.verdict is Verdict.UNKNOWN else QUESTIONS), *(["What next"] if d.next_test else [])]
+    names += [""] * (len(sentences) - len(names))
+    return list(zip(names, sentences, strict=False))
 
 
 def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:

@@ -42,6 +42,10 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
         if diagnosis.remainder is not None:
             share = 100.0 * diagnosis.remainder.share
             text += f", which explains {max(0.0, 100.0 - share):.0f} % of the gap and leaves {share:.0f} %"
+    law = diagnosis.law
+    if diagnosis.verdict is Verdict.UNKNOWN and law is not None and law.is_written:
+        forces = joined(f"{each.family} ({detail_text(each.place)})" for each in law.laws)
+        text = f"a force like {forces}, which no effect of the library explains"
     if diagnosis.warnings:
         count = len(diagnosis.warnings)
         return f"{text}; mind the {'warning' if count == 1 else f'{count} warnings'}", "partly"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from nmt_core.errors import BenchError
@@ -67,6 +67,7 @@ def joint_group(logs: Sequence[Sequence[JointVerdict]], places: Mapping[str, Pla
     several = len(logs) > 1
     stated: list[Stated] = []
     explanations: list[tuple[str, str, str]] = []
+    first: list[tuple[str, str, str]] = []  # what further logs name stands in the table of the page
     for number, joints in enumerate(logs, start=1):
         repeat = f"repeat {number}" if several else ""
         for joint in joints:
@@ -74,7 +75,10 @@ def joint_group(logs: Sequence[Sequence[JointVerdict]], places: Mapping[str, Pla
             if place is None or joint.mechanics is None:
                 continue
             setting = f"{place.part}{f', {repeat}' if several else ''}"
-            explanations.append((place.unit, setting, _LABELS.get(joint.cause, joint.cause)))
+            label = _LABELS.get(joint.cause, joint.cause)
+            explanations.append((place.unit, setting, label))
+            if number == 1:
+                first.append((place.unit, place.part, label))
             for term in joint.terms:
                 value = Value(term.value, term.std, term.unit)
                 name = f"{place.part}: {term.words}"
@@ -83,6 +87,13 @@ def joint_group(logs: Sequence[Sequence[JointVerdict]], places: Mapping[str, Pla
     sentences = [
         f"{part}: {sentence[0].lower()}{sentence[1:]}"
         for part in parts
-        for sentence in of_explanations([each for each in explanations if each[1].split(", ")[0] == part])
+        for sentence in of_explanations([each for each in first if each[1] == part])
     ]
-    return grouped(explanations, sentences, stated, "repeat" if several else "")
+    found = grouped(explanations, sentences, stated, "repeat" if several else "")
+    odd = sorted(
+        {f"{each.unit} ({quantity.name})" for quantity in found.quantities for each in quantity.components.odd}
+    )
+    head = f"{len(found.units)} units of {len(parts)} part{'s' * (len(parts) > 1)}: " + (
+        f"odd is {', '.join(odd)}." if odd else "none is odd."
+    )
+    return replace(found, sentences=(head, *found.sentences))

@@ -66,6 +66,9 @@ def term_of(form: LawForm) -> tuple[Term, float]:
         size = first
     elif form.kind == "slack slider":
         first, second, size = 0.25 * REACH, 0.4, 0.25 * 0.6 * REACH
+    elif form.kind == "cogging":
+        # Softer than the spring of the drive everywhere: a strong one has several places of rest.
+        first, second, size = 1.3 * REACH, 0.25, 3.0
     elif form.kind == "friction":
         first = 0.03 * SPEED
     else:

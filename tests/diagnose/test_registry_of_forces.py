@@ -19,7 +19,7 @@ from nmt_blind.cases.operating import Operating
 from nmt_diagnose.effects.effect import Effect
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.operating_range import OperatingRange
-from nmt_diagnose.law.law_blocks import Block, blocks
+from nmt_diagnose.law.law_blocks import Block, blocks, blocks_of_records
 from nmt_diagnose.law.law_elements import element_of, not_written
 from nmt_diagnose.law.law_words import family, formula
 from nmt_diagnose.law.reading import LawTerm, LocalLaw
@@ -189,7 +189,8 @@ def test_an_effect_is_of_keys_of_its_element(section: type[ElementSection]) -> N
 @pytest.mark.parametrize("form", [form for section in SECTIONS for form in section.law], ids=lambda form: form.formula)
 def test_a_form_is_tried_along_levels(form: LawForm) -> None:
     turn = 2.0 * np.pi * np.arange(512) / 512
-    along = blocks(LARGEST * np.cos(turn)[np.newaxis], OMEGA * LARGEST * np.sin(turn)[np.newaxis])
+    tried_along = blocks_of_records if form.of_records else blocks
+    along = tried_along(LARGEST * np.cos(turn)[np.newaxis], OMEGA * LARGEST * np.sin(turn)[np.newaxis])
     tried = [block for some in along.values() for block in some if any(term.form is form for term in block.terms)]
     assert tried
     # The force of a strength is so many times that of one, along arrays as at each sample.

@@ -43,6 +43,7 @@ SLIDER = "friction of a slider behind a spring"
 DRY, WEAK = "dry friction", "dry friction that weakens with speed"
 BACKLASH = "friction with pinched loops"
 DRAG, CLEARANCE, STOP, HARD = "damping that grows with speed", "clearance", "stop on one side", "hardening spring"
+COGGING = "cogging"
 
 
 def play(x: Array, slip: float) -> Array:
@@ -115,6 +116,11 @@ LIBRARY: dict[str, tuple[tuple[str, ...], Shape]] = {
         lambda x, v, a, s, r: contact(x, (0.3 + 0.4 * r) * a, a) - contact(-x, (0.3 + 0.4 * r) * a, a),
     ),
     "stop": ((STOP,), lambda x, v, a, s, r: contact(x, (0.2 + 0.4 * r) * a, a)),
+    "cogging": ((COGGING,), lambda x, v, a, s, r: np.cos(2.0 * np.pi * (x / (a * (0.06 + 0.9 * r**2)) + r))),
+    "cogging and friction": (
+        (COGGING, DRY),
+        lambda x, v, a, s, r: 0.5 * np.sin(2.0 * np.pi * x / (a * (0.1 + 0.6 * r))) + 0.5 * np.tanh(v / (0.01 * s)),
+    ),
     "friction and drag": (
         (DRY, DRAG),
         lambda x, v, a, s, r: 0.5 * np.tanh(v / (0.01 * s)) + 0.5 * v * np.abs(v) / s**2,

@@ -33,7 +33,7 @@ from nmt_rig.model.local_elements.dampers import (
     QuadraticDrag,
 )
 from nmt_rig.model.local_elements.friction import Jenkins, StribeckBelt, TanhFriction
-from nmt_rig.model.local_elements.springs import CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
+from nmt_rig.model.local_elements.springs import Cogging, CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
 
@@ -97,6 +97,7 @@ AGAINST_SOLVE_IVP = [
     one(CubicSpring, 4e10),
     one(QuinticSpring, 1e16),
     one(QuadraticSpring, 8e5),
+    one(Cogging, 2.0, 3e-4, 0.7),
     one(QuadraticDrag, 40.0),
     one(AmplitudeDamper, 4e7),
     one(PowerLawDamper, 40.0, 1.5),

@@ -13,6 +13,7 @@ from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
 
 _SLACK_SHARES = (0.2, 0.4, 0.6, 0.8)  # of the slip displacement
+_WAVES = (1.5, 40.0, 0.2)  # of cogging along the way from end to end: fewest, most, step
 _CLOSED = (0.01, 0.8)  # of the samples of a record: what is closed along nearly all of it is no contact
 
 
@@ -24,11 +25,13 @@ class Block:
         name: of the family.
         terms: its terms.
         refined: numbers of the parameters of its terms, 1 or 2, that are moved to where the fit is best.
+        reach: logarithm of the factor by which they are moved at most.
     """
 
     name: str
     terms: tuple[Term, ...]
     refined: tuple[int, ...] = ()
+    reach: float = 0.4
 
     @property
     def by(self) -> str:
@@ -39,6 +42,11 @@ class Block:
         """The block with coefficients that change with a measured channel, and are its strengths at a value of it."""
         changing = (replace(term, by=channel, about=about) for term in self.terms)
         return replace(self, terms=(*self.terms, *changing))
+
+    @property
+    def bounded(self) -> bool:
+        """Whether its size is looked for between its neighbours: beyond them it is another block."""
+        return self.contact or self.terms[0].kind == "cogging"
 
     @property
     def contact(self) -> bool:
@@ -62,7 +70,7 @@ def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
     def powers(*exponents: int) -> list[Block]:
         return [Block("polynomial", tuple(Term("power", float(n)) for n in exponents))]
 
-    forms = [(section.kind_name(), form) for section in SECTIONS for form in section.law]
+    forms = [(section.kind_name(), form) for section in SECTIONS for form in section.law if not form.of_records]
     found = {f"{form.kind} of {kind}": _alone(form, a, s) for kind, form in forms}
     found |= {
         "quadratic and cubic": powers(2, 3), "cubic and quintic": powers(3, 5), "polynomial": powers(2, 3, 5),
@@ -115,6 +123,11 @@ def blocks_of_records(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
         )
         for slip in float(np.abs(x).max()) * np.geomspace(0.02, THRESHOLDS.law.largest_slip_share, 12)
     ]
+    way, (fewest, most, step) = float(np.ptp(x)), _WAVES
+    found["cogging"] = [
+        Block("cogging", (Term("cogging", way / waves), Term("cogging", way / waves, 0.25)), (1,), step / waves)
+        for waves in np.arange(most, fewest, -step)
+    ]
     # Samples show the way to full friction, which a few harmonics do not.
     found["weakening friction"] = [replace(block, refined=(1, 2)) for block in found["weakening friction"]]
     return found
@@ -137,4 +150,4 @@ def moved(block: Block, number: int, factor: float) -> Block:
     """The block with parameter 1 or 2 of its terms times a factor."""
     first, second = (factor, 1.0) if number == 1 else (1.0, factor)
     terms = tuple(replace(t, first=first * t.first, second=second * t.second) for t in block.terms)
-    return Block(block.name, terms, block.refined)
+    return replace(block, terms=terms)

@@ -136,7 +136,7 @@ class RecordSearch:
         result = []
         for _, number, members in tried[:_REFINED]:
             block = members[number]
-            if block.contact and len(members) > 1:
+            if block.bounded and len(members) > 1:
                 block = between(members, number, lambda other: self.cost((*law.blocks, other)))
             larger = self._acting(self.law((*law.blocks, self.refined(block, law.blocks))))
             if larger.acts:
@@ -171,7 +171,7 @@ class RecordSearch:
             return block
         # Two parameters are moved in turn.
         for parameter in block.refined * len(block.refined):
-            block = best_moved(block, parameter, (-0.4, 0.4), lambda other: self.cost((*others, other)))
+            block = best_moved(block, parameter, (-block.reach, block.reach), lambda other: self.cost((*others, other)))
         return block
 
     def polished(self, law: RecordLaw) -> RecordLaw:
@@ -291,7 +291,7 @@ def _shorter(block: Block) -> list[tuple[Block, ...]]:
     for term in block.terms if len(block.terms) > 1 else ():
         if not term.by and any(other.by and replace(other, by="", about=0.0) == term for other in block.terms):
             continue
-        found.append((Block(block.name, tuple(other for other in block.terms if other != term), block.refined),))
+        found.append((replace(block, terms=tuple(other for other in block.terms if other != term)),))
     return found
 
 

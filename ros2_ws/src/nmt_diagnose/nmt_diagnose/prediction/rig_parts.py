@@ -408,6 +408,8 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
         if rows:
             groups.setdefault(key, [])
             timed.setdefault(key, []).extend(rows)
+        if section.without_harmonic_balance:
+            continue
         build = build_exciter_elements if behind else build_elements
         for element in build(rig.model_copy(update={"local_elements": [section]}), structure):
             if element.linear:

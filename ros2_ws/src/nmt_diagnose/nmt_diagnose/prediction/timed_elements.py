@@ -1,4 +1,6 @@
-"""Local forces that only the stepping through a record predicts: bristles, slack, strengths that follow a channel.
+"""Local forces that only the stepping through a record predicts: those that no balance over a period has.
+
+Bristles, slack, waves over the position, and strengths that follow a channel.
 
 Each row is a force of unit strength with a memory of its own, times a strength at every step.
 """
@@ -150,6 +152,10 @@ def timed_rows(section: ElementSection, structure: Structure) -> list[TimedRow]:
             TimedRow(SLACKED, parameters, section.modulation, **following, stiffness=slack.resting_stiffness,
                      friction=True)
         ]  # fmt: skip
+    if section.without_harmonic_balance and hasattr(section.element, "response"):
+        (element,) = kept.elements(structure)
+        at_rest = {"stiffness": element.linear_stiffness, "damping": element.linear_damping}
+        return [TimedRow(element.kind, tuple(element.values), section.modulation, **following, **at_rest)]
     if not section.modulated_by:
         return []
     following["floor"] = -section.modulation

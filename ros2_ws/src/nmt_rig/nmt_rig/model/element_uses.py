@@ -60,6 +60,7 @@ class LawForm:
         exponent: the one exponent that the element has, in place of a first number; 0 = it takes any.
         signed: the strength may be negative, as in a spring that softens; all else is passive.
         by_speed: its first number is a speed.
+        of_records: it is read from records alone: a few harmonics do not tell it.
         starts: first numbers that are tried of a law of this term alone: exponents, or multiples of the largest
             displacement or speed.
         effect: (c, first) -> effect and parameters that the search begins at; None = the section's own effect.
@@ -76,6 +77,7 @@ class LawForm:
     exponent: float = 0.0
     signed: bool = False
     by_speed: bool = False
+    of_records: bool = False
     starts: tuple[float, ...] = ()
     effect: Callable[[float, float], tuple[str, Mapping[str, float]] | None] | None = None
     force: Callable[..., Any] | None = None

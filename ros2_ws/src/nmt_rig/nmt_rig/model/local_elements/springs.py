@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+import numpy as np
+
 from nmt_rig.model.element_uses import ElementEffect, LawForm
 from nmt_rig.model.local_elements.element import ElementSection, LocalElement, Response
+from nmt_rig.rig_section import Positive
 
 _RAISED = str.maketrans("23456789", "²³⁴⁵⁶⁷⁸⁹")
 
@@ -134,4 +137,48 @@ class QuinticSpringSection(ElementSection):
     law: ClassVar = power_term(5)
 
 
-AnySpring = LinearSpringSection | CubicSpringSection | QuinticSpringSection | QuadraticSpringSection
+@dataclass(frozen=True)
+class Cogging(LocalElement):
+    """g = F (sin(2π w / λ + φ) − sin φ), a force that repeats with the position; F in N, λ in m, φ in rad.
+
+    One harmonic of the cogging of a motor or of a gear's mesh; without its force at rest, which is a preload.
+    """
+
+    force: float
+    period: float
+    phase: float
+    must_be_positive: ClassVar = ("period",)
+
+    @staticmethod
+    def response(force: float, period: float, phase: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        rate = 2.0 * np.pi / period
+        turn = rate * w + phase
+        return force * (np.sin(turn) - np.sin(phase)), force * rate * np.cos(turn), 0.0
+
+
+class CoggingSection(ElementSection):
+    """g = F (sin(2π w / λ + φ) − sin φ): one harmonic of a force that repeats with the position.
+
+    Attributes:
+        force_n: F
+        period_m: λ, way from one wave to the next
+        phase_rad: φ
+    """
+
+    kind: Literal["cogging"]
+    force_n: float
+    period_m: Positive
+    phase_rad: float = 0.0
+    element: ClassVar = Cogging
+    without_harmonic_balance: ClassVar = "its force has as many waves in a period as the motion passes"
+    without_effect: ClassVar = "a period has too many starts; it is read as a law of records"
+    law: ClassVar = (
+        LawForm(
+            "cogging", "cogging", "sin(2π (x / {mm} mm + {last}))",
+            lambda c, period, turn: (c, period, 2.0 * np.pi * turn), "cogging", signed=True, of_records=True,
+        ),
+    )  # fmt: skip
+
+
+AnySpring = LinearSpringSection | CubicSpringSection | QuinticSpringSection | QuadraticSpringSection | CoggingSection

@@ -14,6 +14,7 @@ from diagnose.test_imposed_motion import DRIVE, RATE, bag_of, jenkins, record, r
 from scipy.interpolate import CubicSpline
 
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.text.number_words import significant
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
@@ -104,6 +105,51 @@ def test_terms_side_by_side_are_told_apart(tmp_path: Path, words: str) -> None:
         assert found[kind].coefficient == pytest.approx(strength, rel=0.05)
         assert abs(found[kind].coefficient - strength) < 4.0 * found[kind].std
     assert min(reading.closed_inside, reading.closed_above) > 0.95
+
+
+def late(force: FloatArray, seconds: float) -> FloatArray:
+    """The force so much later, by the spline of its samples."""
+    return np.asarray(CubicSpline(TIME, force)(TIME - seconds))
+
+
+# Seconds by which the force comes late, a half and more than one sample among them.
+LATE = {
+    "dry friction": -0.015, "friction of a slider behind a spring": 0.025, "hardening spring": 0.015,
+    "damping that grows with speed": 0.0075, "clearance": 0.04,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", LATE)
+def test_a_law_is_read_beside_a_force_that_comes_late(tmp_path: Path, words: str) -> None:
+    missing, strengths = LAWS[words]
+    known = 2e-3 * A + 0.05 * V + 12.0 * X
+    reading = reading_of(tmp_path, late(known + missing, LATE[words]) - known)
+    assert reading.is_stated
+    (law,) = reading.laws
+    assert law.family == words
+    assert reading.late is not None
+    assert reading.late == ("f1", pytest.approx(LATE[words], abs=5e-4))
+    for kind, strength in strengths.items():
+        term = next(term for term in law.terms if term.kind == kind)
+        assert term.coefficient == pytest.approx(strength, rel=0.05)
+    sentences = " ".join(law_sentences(reading, True))
+    goes = "after" if LATE[words] > 0.0 else "ahead of"
+    assert f"f1 comes {significant(1e3 * abs(reading.late[1]), 2)} ms {goes} the motion" in sentences
+    delays = [sensor.delay_s for sensor in with_law(rig_of(tmp_path, TEXT), reading).sensors]
+    # The bench has no channel that leads by more than a sample.
+    assert max(delays) == pytest.approx(max(LATE[words], 0.0), abs=5e-4)
+
+
+def test_a_force_that_only_comes_late_is_no_law(tmp_path: Path) -> None:
+    known = 2e-3 * A + 0.05 * V + 12.0 * X
+    reading = reading_of(tmp_path, late(known, 0.02) - known)
+    assert not reading.is_stated
+    assert reading.late == ("f1", pytest.approx(0.02, abs=1e-3))
+
+
+@pytest.mark.parametrize("words", LAWS)
+def test_a_force_in_step_is_not_told_as_late(tmp_path: Path, words: str) -> None:
+    assert reading_of(tmp_path, LAWS[words][0]).late is None
 
 
 def test_the_shape_of_a_law_holds_along_a_smaller_motion(tmp_path: Path) -> None:

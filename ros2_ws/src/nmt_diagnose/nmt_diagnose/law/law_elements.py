@@ -32,7 +32,17 @@ def element_of(term: LawTerm, law: LocalLaw) -> ElementSection | None:
 
 
 def with_law(rig: Rig, reading: LawReading) -> Rig:
-    """The rig with the laws of a reading as local elements; terms that no kind of element has are left out."""
+    """The rig with the laws of a reading as local elements; terms that no kind of element has are left out.
+
+    A force that comes late is that of its sensor, too; a channel leads by no more than a sampling interval.
+    """
+    if reading.late is not None and reading.late[1] > -1.0 / rig.sample_rate_hz:
+        name, late = reading.late
+        sensors = [
+            s.model_copy(update={"delay_s": s.delay_s + late}) if rig.sensor_channel(s) == name else s
+            for s in rig.sensors
+        ]
+        rig = rig.model_copy(update={"sensors": sensors})
     return with_laws(rig, reading.laws)
 
 

@@ -302,7 +302,10 @@ def best_moved(block: Block, number: int, logs: tuple[float, float], cost: Calla
         return moved(block, number, float(np.exp(log_factor)))
 
     found = minimize_scalar(
-        lambda log_factor: cost(at(log_factor)), bounds=logs, method="bounded", options={"xatol": 5e-3 * logs[1], "maxiter": 20}
+        lambda log_factor: cost(at(log_factor)),
+        bounds=logs,
+        method="bounded",
+        options={"xatol": 5e-3 * logs[1], "maxiter": 20},
     )
     return at(float(found.x)) if found.fun < cost(block) else block
 

@@ -28,6 +28,8 @@ from nmt_rig.rig import Rig
 
 _PARTS = 10
 _ROWS = 2500  # of all records together
+DELAY = "delay of the force"
+HALF_A_SAMPLE = 0.5
 _STEP = 1e-3  # of a logarithm, for differences
 
 
@@ -40,6 +42,7 @@ class MovedRecord:
         x, v: its motion, m and m/s, (1, n).
         parts: samples of the motion at which each part has a row, ascending.
         rows: of all parts.
+        force_at: samples of the force of each part.
         measured: force at these, N.
         missing: measured force less that of the model at these, N.
         sigma: standard deviation of each, N.
@@ -52,6 +55,7 @@ class MovedRecord:
     v: FloatArray
     parts: tuple[IntArray, ...]
     rows: Rows
+    force_at: tuple[IntArray, ...]
     measured: FloatArray
     missing: tuple[FloatArray, ...]
     sigma: tuple[FloatArray, ...]
@@ -59,8 +63,19 @@ class MovedRecord:
     channels: dict[str, FloatArray]
 
     @classmethod
-    def of(cls, rig: Rig, observations: Observations, number: int, parts: int, most: int) -> MovedRecord | None:
-        """The record of one test in parts; None where its force was not measured or rows are too few."""
+    def of(
+        cls, rig: Rig, observations: Observations, number: int, parts: int, most: int, late: int = 0
+    ) -> MovedRecord | None:
+        """The record of one test in parts; None where its force was not measured or rows are too few.
+
+        Args:
+            rig: the model.
+            observations: the real side.
+            number: of the test.
+            parts: number of parts.
+            most: rows.
+            late: samples of the force by which it comes later than the motion.
+        """
         test, rows = observations.tests[number].moved_as, observations.rows
         force = [
             k for k, channel in enumerate(observations.tests[number].channels) if channel.quantity is Quantity.FORCE
@@ -71,9 +86,15 @@ class MovedRecord:
         samples = np.flatnonzero(np.isfinite(test.force))
         if int(selected.sum()) < parts * THRESHOLDS.law.fewest_levels:
             return None
-        samples = samples[spread_samples(0, samples.size, most)]
         factor = test.input.size // test.force.size
-        time_s = test.start_s + samples * factor / test.sample_rate
+        # The model's own delay of the force is in its prediction, but not in terms.
+        channel = observations.tests[number].channels[force[0]].name
+        modelled = sum(sensor.delay_s for sensor in rig.sensors if rig.sensor_channel(sensor) == channel)
+        moved = factor * late + round(modelled * test.sample_rate)
+        at = factor * samples - moved
+        samples = samples[(at >= 0) & (at < test.input.size)]
+        samples = samples[spread_samples(0, samples.size, most)]
+        time_s = test.start_s + (samples - late) * factor / test.sample_rate
         dense = _rows_at(number, force[0], time_s)
         settings = PredictionSettings()
         predictor, cache = test.predictor(dense, settings), PartsCache(settings)
@@ -85,7 +106,7 @@ class MovedRecord:
         errors[constant_of(test)] = np.full(samples.size, test.force_n)
         # Channels are sampled in step or half a sample apart.
         slope = np.gradient(np.interp(np.arange(test.force.size), samples, test.force[samples]))
-        errors[f"delay of the force in {test.name}"] = 0.5 * slope[samples]
+        errors[f"{DELAY} in {test.name}"] = HALF_A_SAMPLE * slope[samples]
         for parameter in calibration_parameters(rig):
             change = (predictor.values(parameter.apply(rig, _STEP), cache, ()) - base) / _STEP
             if np.any(change):
@@ -94,7 +115,8 @@ class MovedRecord:
         missing = test.force[samples] - base
         return cls(
             test, test.motion[:1], test.motion[1:2],
-            tuple(factor * samples[piece] for piece in pieces), dense, test.force[samples],
+            tuple(factor * samples[piece] - moved for piece in pieces), dense,
+            tuple(samples[piece] for piece in pieces), test.force[samples],
             tuple(missing[piece] for piece in pieces),
             tuple(sigma[piece] for piece in pieces),
             {name: tuple(column[piece] for piece in pieces) for name, column in errors.items()},
@@ -106,6 +128,13 @@ class MovedRecord:
         settings = PredictionSettings()
         values = self.test.predictor(self.rows, settings).values(rig, PartsCache(settings), ())
         return np.split(self.measured - values, np.cumsum([part.size for part in self.parts])[:-1])
+
+    def moved(self, part: int, late: int) -> FloatArray:
+        """Missing force of a part where the measured one is taken so many samples later, N; its ends stay."""
+        force, at = self.test.force, self.force_at[part]
+        known = np.flatnonzero(np.isfinite(force))
+        there: FloatArray = np.interp(at + late, known, force[known])
+        return self.missing[part] + there - force[at]
 
     def force(self, term: Term) -> FloatArray:
         """Force of a term of unit strength at all samples, N, (n,); its memory begins as that of the file does."""
@@ -136,24 +165,26 @@ class MovedRecords:
     Attributes:
         records: one or more.
         part_of: record and number of each part.
+        late: samples of the force by which it comes later than the motion.
     """
 
     records: tuple[MovedRecord, ...]
     part_of: tuple[tuple[int, int], ...]
+    late: int = 0
     _columns: dict[Term, FloatArray] = field(default_factory=dict, repr=False, compare=False)
 
     @classmethod
-    def of(cls, rig: Rig, observations: Observations) -> MovedRecords | None:
-        """The records of imposed motion among some tests; None without one."""
+    def of(cls, rig: Rig, observations: Observations, late: int = 0) -> MovedRecords | None:
+        """The records of imposed motion among some tests, the force so many samples late; None without one."""
         numbers = [k for k, test in enumerate(observations.tests) if test.moved_as is not None]
         if not numbers:
             return None
         parts, most = max(1, round(_PARTS / len(numbers))), _ROWS // len(numbers)
-        records = [MovedRecord.of(rig, observations, k, parts, most) for k in numbers]
+        records = [MovedRecord.of(rig, observations, k, parts, most, late) for k in numbers]
         found = tuple(record for record in records if record is not None)
         pairs = [(k, part) for k, record in enumerate(found) for part in range(len(record.parts))]
         pairs.sort(key=lambda pair: float(np.std(found[pair[0]].x[0, found[pair[0]].parts[pair[1]]])))
-        return cls(found, tuple(pairs)) if len(pairs) >= THRESHOLDS.law.fewest_levels else None
+        return cls(found, tuple(pairs), late) if len(pairs) >= THRESHOLDS.law.fewest_levels else None
 
     @property
     def count(self) -> int:
@@ -187,6 +218,26 @@ class MovedRecords:
                 left = left - np.average(left, weights=sigma**-2.0)
                 squares, rows = squares + float(np.sum((left / sigma) ** 2)), rows + left.size
         return math.sqrt(squares / rows)
+
+    def moved(self, late: int) -> FloatArray:
+        """:attr:`missing` where the measured force is taken so many samples later."""
+        return self._padded([record.moved(part, late) / record.sigma[part] for record, part in self._parts()])
+
+    @property
+    def force_channel(self) -> str:
+        """Name of the channel of the force."""
+        return next(c.name for c in self.records[0].test.channels if c.quantity is Quantity.FORCE)
+
+    @property
+    def force_rate(self) -> float:
+        """Samples of the force a second, Hz."""
+        test = self.records[0].test
+        return test.sample_rate * test.force.size / test.input.size
+
+    @property
+    def samples_of_a_turn(self) -> float:
+        """Samples of the force in a period of the middle frequency of the fastest record."""
+        return self.force_rate / max(record.test.frequency_hz for record in self.records)
 
     def range_of(self, channel: str) -> tuple[float, float]:
         """Smallest and largest value of a channel at the rows; both 0 where a record has none of that name."""

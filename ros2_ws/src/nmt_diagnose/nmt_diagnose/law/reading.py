@@ -120,6 +120,7 @@ class LawReading:
         closed_by_file: share of the gap that the rig file with the laws closes by the prediction that later commands
             make with it: of a record on the parts of the largest motion, which its strengths then do not know; NaN of
             held levels.
+        late: channel of the force of records and how much later than the motion it comes, s; None = in step.
     """
 
     test: str
@@ -132,6 +133,7 @@ class LawReading:
     refusals: tuple[str, ...]
     of_record: bool = False
     closed_by_file: float = math.nan
+    late: tuple[str, float] | None = None
 
     @property
     def is_stated(self) -> bool:

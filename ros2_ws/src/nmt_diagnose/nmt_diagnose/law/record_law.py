@@ -19,6 +19,7 @@ from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_elements import with_laws
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share, nearly_as_well
+from nmt_diagnose.law.record_delay import delay_of
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed, words_of
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -44,16 +45,45 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
     records = MovedRecords.of(rig, observations)
     if records is None:
         return None
+    in_step, worth = _reading(rig, records)
+    if in_step.before < THRESHOLDS.law.least_null_score:
+        return in_step
+    ratio = 1.0 / THRESHOLDS.law.alike_score_ratio
+    delay = delay_of(records, worth, ratio)
+    apart = MovedRecords.of(rig, observations, delay) if delay else None
+    if apart is None:
+        return in_step
+    late, _ = _reading(rig, apart)
+    nearer = round(late.late[1] * records.force_rate) if late.late else delay
+    if nearer != delay and (apart := MovedRecords.of(rig, observations, nearer)) is not None:
+        late = min(late, _reading(rig, apart)[0], key=lambda reading: reading.after)
+    if late.before < THRESHOLDS.law.least_null_score:
+        return replace(in_step, refusals=("with the force in step with the motion nothing is left",), late=late.late)
+    better = late.is_stated and (not in_step.is_stated or late.after <= ratio * in_step.after)
+    return late if better else in_step
+
+
+def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:
+    """The law of records whose force is as late as they say, and what their errors of chain and model count with."""
     limits, search = THRESHOLDS.law, RecordSearch(records)
     before = search.null.score
     name = " and ".join(record.test.name for record in records.records)
 
     def reading(
-        why: str, *laws: LocalLaw, after: float = before, above: float = math.nan, by_file: float = math.nan
-    ) -> LawReading:
+        why: str,
+        *laws: LocalLaw,
+        after: float = before,
+        above: float = math.nan,
+        by_file: float = math.nan,
+        late: float = float(records.late),
+    ) -> tuple[LawReading, FloatArray]:
         inside = closed_share(before, after) if laws else math.nan
         refusals = (why,) if why else ()
-        return LawReading(name, records.count, laws, before, after, inside, above, refusals, True, by_file)
+        lateness = (records.force_channel, late / records.force_rate) if records.late else None
+        return (
+            LawReading(name, records.count, laws, before, after, inside, above, refusals, True, by_file, lateness),
+            search.worth,
+        )
 
     if before < limits.least_null_score:
         return reading("the record differs from the model by no more than noise and tolerances")
@@ -76,7 +106,7 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
         why = "the parts of the largest motion are predicted worse with it"
     law = _law(search, best, tried)
     by_file = math.nan if why else _closed_by_file(rig, search, best, law, top)
-    return reading(why, law, after=best.score, above=above, by_file=by_file)
+    return reading(why, law, after=best.score, above=above, by_file=by_file, late=search.late(best))
 
 
 def _closed_by_file(rig: Rig, search: RecordSearch, best: RecordLaw, law: LocalLaw, out: list[int]) -> float:

@@ -19,7 +19,7 @@ from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
 from nmt_diagnose.law.law_search import best_moved, between
 from nmt_diagnose.law.law_words import family
-from nmt_diagnose.law.moved_record import MovedRecords, constant_of
+from nmt_diagnose.law.moved_record import DELAY, HALF_A_SAMPLE, MovedRecords, constant_of
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import POSITION
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -28,6 +28,7 @@ _BLOCKS = 5  # side by side
 _KEPT = 2  # laws that are gone on from
 _BELOW = 0.1  # of a strength that it may be below zero at the end of the range
 _STEP = 1e-3  # of a parameter, for differences
+_SHORTENED = 3  # of as many terms that are judged
 _REFINED = 6  # families that are refined beside each
 
 
@@ -182,6 +183,15 @@ class RecordSearch:
         found = self.law(blocks)
         return found if found.score <= law.score and found.acts else law
 
+    def late(self, law: RecordLaw) -> float:
+        """Samples by which the force comes later than the motion, beside a law."""
+        parts = [
+            value
+            for error, value in zip(self.records.names, law.fit.nuisance / self.worth, strict=True)
+            if error.startswith(DELAY)
+        ]
+        return self.records.late - HALF_A_SAMPLE * float(np.mean(parts))
+
     def pulled(self, law: RecordLaw) -> list[str]:
         """Errors of chain and model that a law needs and that are not ordinarily so large."""
         pulls = law.fit.nuisance / self.worth
@@ -239,16 +249,29 @@ class RecordSearch:
         """The law with ever fewer blocks and terms, up to a score."""
         path = [law]
         while True:
-            fewer = [
-                self.law((*law.blocks[:k], *shorter, *law.blocks[k + 1 :]))
+            shorter = [
+                (*law.blocks[:k], *without, *law.blocks[k + 1 :])
                 for k, block in enumerate(law.blocks)
-                for shorter in _shorter(block)
+                for without in _shorter(block)
             ]
-            fewer = [other for other in fewer if other.score <= most and other.terms and other.acts]
-            if not fewer:
+            fewer = self._fewer([blocks for blocks in shorter if blocks], most)
+            if fewer is None:
                 return path
-            law = min(fewer, key=lambda other: (len(other.terms), other.score))
+            law = fewer
             path.append(law)
+
+    def _fewer(self, shorter: Sequence[tuple[Block, ...]], most: float) -> RecordLaw | None:
+        """Of laws without a block or a term the one of fewest terms up to a score; None where there is none."""
+        numbers = [len(_terms(blocks)) for blocks in shorter]
+        for number in sorted(set(numbers)):
+            # Left out one by one, parts take ten times as long: those that fit best come first.
+            alike = sorted((b for b, n in zip(shorter, numbers, strict=True) if n == number), key=self.cost)[
+                :_SHORTENED
+            ]
+            laws = [law for law in map(self.law, alike) if law.score <= most and law.terms and law.acts]
+            if laws:
+                return min(laws, key=lambda law: (len(law.terms), law.score))
+        return None
 
 
 def in_shape(path: Sequence[RecordLaw], words: Sequence[str]) -> RecordLaw:

@@ -154,8 +154,8 @@ def timed_rows(section: ElementSection, structure: Structure) -> list[TimedRow]:
         ]  # fmt: skip
     if section.without_harmonic_balance and hasattr(section.element, "response"):
         (element,) = kept.elements(structure)
-        at_rest = {"stiffness": element.linear_stiffness, "damping": element.linear_damping}
-        return [TimedRow(element.kind, tuple(element.values), section.modulation, **following, **at_rest)]
+        following |= {"stiffness": element.linear_stiffness, "damping": element.linear_damping}
+        return [TimedRow(element.kind, tuple(element.values), section.modulation, **following)]
     if not section.modulated_by:
         return []
     following["floor"] = -section.modulation

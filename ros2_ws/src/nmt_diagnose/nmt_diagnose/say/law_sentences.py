@@ -15,6 +15,10 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
         return ()
     what = " and ".join(f"{law.family} at {_where(law)}" for law in reading.laws)
     where, pieces = ("In the record", "parts") if reading.of_record else ("At the held levels", "levels")
+    if reading.late is not None:
+        channel, late = reading.late
+        goes = "after" if late > 0.0 else "ahead of"
+        where += f", where {channel} comes {significant(1e3 * abs(late), 2)} ms {goes} the motion,"
     text = f"{where} the missing force acts like {what}"
     if math.isfinite(reading.closed_inside):
         text += f"; it closes {percent(reading.closed_inside)} of the gap at {pieces} left out inside the range"
@@ -37,6 +41,8 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
                     f"To part them, record a motion of {law.parted_by}. Check first that the specimen bears it."
                 )
     result += [sentence for law in reading.laws for sentence in _following(law)]
+    if reading.late is not None:
+        result.append("Check the clocks, filters and delays of force and motion before the law is believed.")
     if not reading.is_written:
         result.append(
             "It is not written to the rig file, which with it would predict what was left out no better than without."

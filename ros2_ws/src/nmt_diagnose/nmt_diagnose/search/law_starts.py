@@ -41,10 +41,15 @@ def with_laws(search: Search, null: FittedExplanation, reading: LawReading | Non
     """
     laws = reading.laws if reading is not None else ()
     found = [start for law in laws if (start := _start(search.candidates, law)) is not None]
-    if not found or reading is None or not worth_a_start(reading):
+    if reading is None or not worth_a_start(reading):
+        return []
+    groups = [[start] for start in found] + ([found] if len(found) > 1 else [])
+    late = _late_channel(search.candidates, reading)
+    if late is not None:
+        groups = [[late], *([*group, late] for group in groups)]
+    if not groups:
         return []
     search.tell("fitting the laws that were read")
-    groups = [[start] for start in found] + ([found] if len(found) > 1 else [])
     fitted = [one for group in groups if (one := _fitted(search, null, group)) is not None]
     return best_of(fitted)
 
@@ -79,6 +84,18 @@ def _weaker(candidate: Candidate, theta: FloatArray, share: float) -> FloatArray
     """The parameters with their strengths times a share."""
     strengths = [parameter.kind == "strength" for parameter in candidate.effect.parameters]
     return np.where(strengths, share * theta, theta)
+
+
+def _late_channel(candidates: Sequence[Candidate], reading: LawReading) -> tuple[Candidate, FloatArray] | None:
+    """The effect of a force that comes late, with how late; None where it is in step."""
+    if reading.late is None:
+        return None
+    name, late = reading.late
+    for candidate in candidates:
+        if candidate.effect.name == "channel_skew" and candidate.site.location.channel == name:
+            theta = parameters_at(candidate, {"tau": late})
+            return None if theta is None else (candidate, theta)
+    return None
 
 
 def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, FloatArray] | None:

@@ -19,7 +19,9 @@ from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.law.law_elements import with_law
+from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.law.record_check import autocorrelation
 from nmt_diagnose.law.record_law import read_record_law
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.read_observations import read_observations
@@ -274,6 +276,41 @@ def test_a_law_whose_file_predicts_worse_is_not_written(tmp_path: Path) -> None:
     assert worse.is_stated
     assert not worse.is_written
     assert "It is not written to the rig file" in " ".join(law_sentences(worse, False))
+
+
+def test_a_law_is_checked_against_a_part_that_it_does_not_know(tmp_path: Path) -> None:
+    """Strengths of the other parts, beside a preload; what is left is white, what was there is not."""
+    force = 0.05 * np.tanh(V / 2e-3) + 0.1
+    check = reading_of(tmp_path, force).check
+    assert check is not None
+    at = np.array(check.time_s)
+    truth = np.interp(at, TIME, force - 0.1)
+    assert np.std(np.interp(at, check.line_s, check.line) - truth) < 0.1 * np.std(truth)
+    assert np.std(np.array(check.measured) - truth) < 0.1 * np.std(truth)
+    assert np.std(np.interp(at, TIME, X)) > 1.3 * np.std(X)
+    assert max(map(abs, check.with_law[1:])) < 3.0 * check.band < max(map(abs, check.without[1:]))
+
+
+@pytest.mark.parametrize("left", ["white", "wave"])
+def test_the_autocorrelation_of_a_remainder_is_that_of_its_process(tmp_path: Path, left: str) -> None:
+    """1 and nothing of white noise; cos ωτ of a sine."""
+    rig = rig_of(tmp_path, TEXT)
+    columns = {"displacement 1": X, "force 1": 2e-3 * A + 0.05 * V + 12.0 * X}
+    bag = bag_of(tmp_path, RATE, columns, record(TIME.size, held="response"), TEXT)
+    records = MovedRecords.of(rig, read_observations([bag], rig))
+    assert records is not None
+    at = [records.records[k].parts[part] / records.records[k].test.sample_rate for k, part in records.part_of]
+    random = np.random.default_rng(3)
+    rows = [random.standard_normal(t.size) if left == "white" else np.sin(40.0 * t + 0.3) for t in at]
+    padded = np.zeros_like(records.missing)
+    for k, row in enumerate(rows):
+        padded[k, : row.size] = row
+    lags, found = autocorrelation(records, padded)
+    assert lags.size > 10
+    if left == "white":
+        assert np.abs(found[1:]).max() < 5.0 / np.sqrt(sum(map(np.size, at)))
+    else:
+        np.testing.assert_allclose(found[1:], np.cos(40.0 * lags[1:]), atol=0.15)
 
 
 def test_a_healthy_record_has_no_law(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from report.test_diagnosis_report import text_of
 from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_words import formula
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw
+from nmt_diagnose.law.record_check import RecordCheck
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_report.diagnosis_report import diagnosis_page
+from nmt_report.figure_files import write_figures
 from nmt_report.figure_record import unpacked
 
 ANGLES = 2.0 * np.pi * np.arange(64) / 64
@@ -97,3 +100,27 @@ def test_formulas_name_side_and_size() -> None:
     assert as_read("slider", (5e-5,)) == "spring that slips at 0.05 mm"
     assert as_read("speed", (1.5,)) == "|v|¹·⁵ sgn v"
     assert as_read("weakening friction", (1e-3, 0.05)) == "tanh(v / 0.001 m/s) exp(−(v / 0.05 m/s)²)"
+
+
+def test_a_part_that_was_left_out_is_drawn_with_its_law_and_the_remainders(tmp_path: Path) -> None:
+    check = RecordCheck(
+        "record", (1.0, 1.1, 1.3), (0.4, -0.2, 0.3), 0.02, (1.0, 1.1, 1.2, 1.3), (0.39, -0.21, 0.0, 0.31),
+        (0.0, 0.1, 0.2), (1.0, 0.8, -0.6), (1.0, 0.01, -0.02), 0.04,
+    )  # fmt: skip
+    made = page(replace(reading(), of_record=True, check=check))
+    (numbers,) = re.findall(
+        r'<figure id="law-check".*?<script type="application/x-nmt-figure">(.*?)</script>', made, re.S
+    )
+    time, lags = unpacked(numbers)["panels"]
+    drawn = {series["label"]: series for series in time["series"]}
+    assert drawn["law of the other parts"]["y"] == pytest.approx(check.line)
+    assert drawn["measured, ±2 standard deviations"]["y"] == pytest.approx(check.measured)
+    drawn = {series["label"]: series for series in lags["series"]}
+    assert drawn["without the law"]["y"] == pytest.approx(check.without)
+    assert drawn["with it"]["y"] == pytest.approx(check.with_law)
+    # All figures of the page become files, the drawing of the rig among them.
+    report = tmp_path / "report.html"
+    report.write_text(made, encoding="utf-8")
+    files = write_figures(report, tmp_path, formats=("svg",))
+    assert {"place", "law-0", "law-check"} <= {path.stem for path in tmp_path.glob("*.svg")}
+    assert len(files) == len(list(tmp_path.glob("*.svg")))

@@ -129,13 +129,16 @@ class Results:
         return target
 
     def figures(self, folder: Path | str, **options: Any) -> list[Any]:
-        """Write the figures of the report; options as of :func:`nmt_report.write_figures`.
+        """Write the figures of the report to a folder, made if it is not there.
+
+        Options as of :func:`nmt_report.write_figures`.
 
         Raises:
             BenchError: the folder has no report.
         """
         from nmt_report.figure_files import write_figures
 
+        Path(folder).mkdir(parents=True, exist_ok=True)
         return list(write_figures(self.folder, folder, **options))
 
     def __repr__(self) -> str:

@@ -41,7 +41,7 @@ from nmt_report.diagnosis_words import (
     verdict_text,
 )
 from nmt_report.html_page import Column, Row, Table, part
-from nmt_report.law_figures import law_figure, law_table
+from nmt_report.law_figures import law_figures, law_table
 from nmt_report.quantity_format import plain, significant
 from nmt_report.response_page import ResponsePage
 from nmt_report.rig_drawing import rig_figure
@@ -86,7 +86,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         curves = course_figures(report)
         drawing = place_drawing(d, report.rig)
         stated = d.law if d.law is not None and d.law.is_stated else None
-        laws = [law_figure(law, number) for number, law in enumerate(stated.laws)] if stated is not None else []
+        laws = law_figures(stated) if stated is not None else []
     page = ResponsePage(
         kicker="Diagnosis of the gap between model and rig",
         heading=report.rig.name,

@@ -191,6 +191,7 @@ def _panel(axes: Axes, number: int, panels: list[Axes]) -> Record:
         "place": [round(float(v), 5) for v in place],
         "cells": _cells(axes),
         "title": axes.get_title("left") or axes.get_title("center"),
+        "drawing": not axes.axison,
         "x": _axis(axes.xaxis, axes.get_xlim(), axes.get_xscale()),
         "y": _axis(axes.yaxis, axes.get_ylim(), axes.get_yscale()),
         "spines": [side for side, spine in axes.spines.items() if side in _SIDES and spine.get_visible()],

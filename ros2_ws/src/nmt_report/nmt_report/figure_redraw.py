@@ -65,10 +65,11 @@ def _redrawn(figure: Mapping[str, Any], width_mm: float, letters_pt: float) -> F
     height = size[1] * scale * max(1.0, min(2.0, (letters / scale) ** 0.5))
     with figure_style(), matplotlib.rc_context(_letters(letters)):
         growth = letters / scale
-        beside = [_place_beside(panel, growth) for panel in figure["panels"] if _is_beside(panel)]
+        in_grid = any(panel["cells"] for panel in figure["panels"])
+        beside = [_place_beside(panel, growth) for panel in figure["panels"] if in_grid and _is_beside(panel)]
         edge = min((place[0] - 0.02 for place in beside), default=1.0)
         layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, rect=(0.0, 0.0, edge, 1.0))
-        page = Figure(figsize=(width, height), layout=layout)
+        page = Figure(figsize=(width, height), layout=layout if in_grid else None)
         grids: dict[Any, Any] = {}
         drawn: list[Axes] = []
         for panel in figure["panels"]:
@@ -77,7 +78,7 @@ def _redrawn(figure: Mapping[str, Any], width_mm: float, letters_pt: float) -> F
             elif panel["cells"]:
                 axes = page.add_subplot(_cell_of(page, panel["cells"], grids))
             else:
-                axes = page.add_axes(_place_beside(panel, growth))
+                axes = page.add_axes(_place_beside(panel, growth) if in_grid else panel["place"])
             drawn.append(axes)
             _draw(axes, panel, letters, growth)
         for legend in figure["legends"]:
@@ -89,7 +90,8 @@ def _redrawn(figure: Mapping[str, Any], width_mm: float, letters_pt: float) -> F
         page.draw_without_rendering()
         for axes in drawn:
             _thin_out(axes)
-        _fit(page, layout, edge)
+        if in_grid:
+            _fit(page, layout, edge)
     return page
 
 
@@ -220,6 +222,9 @@ def _draw(axes: Axes, panel: Mapping[str, Any], letters: float, growth: float) -
             textcoords="offset points", color=text["colour"], fontsize=text["size"] * letters, ha=text["ha"],
             va=text["va"], rotation=text["rotation"],
         )  # fmt: skip
+    if panel.get("drawing"):
+        axes.set_axis_off()
+        axes.set_aspect("equal")
     if panel["legend"]:
         legend = panel["legend"]
         handles, texts = _handles(legend, letters)

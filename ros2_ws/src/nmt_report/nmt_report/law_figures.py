@@ -17,13 +17,22 @@ from nmt_core.text.number_words import percent, value_text
 from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_words import formula, raised
 from nmt_diagnose.law.reading import LawReading, LocalLaw
+from nmt_diagnose.law.record_check import RecordCheck
 from nmt_report.html_page import Column, Row, Table
 from nmt_report.quantity_format import significant
-from nmt_report.svg import INK, MUTED, ReportFigure, level_colours, svg_text
+from nmt_report.svg import INK, MUTED, ORANGE, ReportFigure, level_colours, svg_text
 
 _BAND = 2.0  # standard deviations
 _SHAPED = 6.0
 """Standard deviations of a loop from which it has a shape to show."""
+
+
+def law_figures(reading: LawReading) -> list[ReportFigure]:
+    """All figures of a reading: the loops of each law, and of records a part that was left out."""
+    figures = [law_figure(law, number) for number, law in enumerate(reading.laws)]
+    if reading.check is not None:
+        figures.append(check_figure(reading.check, " and ".join(law.family for law in reading.laws)))
+    return figures
 
 
 def law_figure(law: LocalLaw, number: int) -> ReportFigure:
@@ -49,6 +58,48 @@ def law_figure(law: LocalLaw, number: int) -> ReportFigure:
         "deviations are more than the force it is not drawn."
     )
     return ReportFigure(name, title, caption, svg_text(drawn_loops(law), name, title), wide=True)
+
+
+def check_figure(check: RecordCheck, family: str) -> ReportFigure:
+    """The law of records against a part that it does not know, and what it leaves, for a page.
+
+    Args:
+        check: of the law.
+        family: of the law, in words.
+    """
+    title = f"A part of {check.record} that was left out: {family}"
+    caption = (
+        "Left: the force that the model lacks in the part of the largest motion, and the law with strengths of all "
+        "other parts. Right: autocorrelation of what is left of all parts. Where it lies within the band, two standard "
+        "deviations of independent noise, nothing is left that a law of the motion could tell."
+    )
+    return ReportFigure("law-check", title, caption, svg_text(drawn_check(check), "law-check", title), wide=True)
+
+
+def drawn_check(check: RecordCheck) -> Figure:
+    """Missing force over time with the law's line, and autocorrelations of the remainders."""
+    figure = Figure(figsize=(12.9, 4.0))
+    left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
+    figure.subplots_adjust(left=0.055, right=0.99, bottom=0.14, top=0.9, wspace=0.17)
+    newtons, per_newton = ("N", 1.0) if np.abs(check.line).max() >= 0.1 else ("mN", 1e3)
+    measured, line = per_newton * np.array(check.measured), per_newton * np.array(check.line)
+    spread = _BAND * per_newton * check.std
+    left.errorbar(check.time_s, measured, spread, fmt="none", ecolor=MUTED, alpha=0.4)
+    left.plot(check.time_s, measured, "o", color=INK, markersize=2.6, label=f"measured, ±{_BAND:g} standard deviations")
+    left.plot(check.line_s, line, color=ORANGE, linewidth=1.2, label="law of the other parts")
+    left.set_xlabel("time / s")
+    left.set_ylabel(f"missing force / {newtons}")
+    right.axhspan(-check.band, check.band, color=MUTED, alpha=0.25, linewidth=0.0, label="independent noise")
+    right.axhline(0.0, color=INK, linewidth=0.6)
+    right.plot(check.lags_s, check.without, color=MUTED, linewidth=1.2, label="without the law")
+    right.plot(check.lags_s, check.with_law, color=ORANGE, linewidth=1.4, label="with it")
+    right.set_xlabel("lag / s")
+    right.set_ylabel("autocorrelation of the remainder")
+    right.set_ylim(-1.05, 1.05)
+    for axes in (left, right):
+        axes.set_axisbelow(True)
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, borderaxespad=0.1)
+    return figure
 
 
 def drawn_loops(law: LocalLaw) -> Figure:

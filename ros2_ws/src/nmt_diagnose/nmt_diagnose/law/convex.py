@@ -105,12 +105,13 @@ class ConvexFit:
         gram, right, _ = self._normal(columns)
         return self._predicted([out], gram, right, signed)
 
-    def without(self, columns: FloatArray, signed: BoolArray, out: list[int]) -> FloatArray:
-        """Coefficients of a fit to all levels but some, (k,)."""
+    def without(self, columns: FloatArray, signed: BoolArray, out: list[int]) -> tuple[FloatArray, FloatArray]:
+        """Errors (m,) and coefficients (k,) of a fit to all levels but some."""
         gram, right, norms = self._normal(columns)
         others = np.delete(np.arange(len(self.tt)), out)
         theta = _constrained(gram[others].sum(axis=0), right[others].sum(axis=0), self.nn.shape[1], signed)
-        return np.asarray(theta[self.nn.shape[1] :] / np.where(norms > 0.0, norms, 1.0))
+        m = self.nn.shape[1]
+        return theta[:m], np.asarray(theta[m:] / np.where(norms > 0.0, norms, 1.0))
 
     def _normal(self, columns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Normal equations of each level, (L, m + k, m + k) and (L, m + k), and what columns were divided by."""

@@ -17,6 +17,7 @@ from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
+from nmt_diagnose.law.record_check import RecordCheck
 from nmt_diagnose.law.terms import Term, sampled
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -120,6 +121,7 @@ class LawReading:
         closed_by_file: share of the gap that the rig file with the laws closes by the prediction that later commands
             make with it: of a record on the parts of the largest motion, which its strengths then do not know; NaN of
             held levels.
+        check: the law of records against a part that it does not know.
         late: channel of the force of records and how much later than the motion it comes, s; None = in step.
     """
 
@@ -134,6 +136,7 @@ class LawReading:
     of_record: bool = False
     closed_by_file: float = math.nan
     late: tuple[str, float] | None = None
+    check: RecordCheck | None = None
 
     @property
     def is_stated(self) -> bool:

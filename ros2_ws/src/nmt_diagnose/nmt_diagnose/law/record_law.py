@@ -19,6 +19,7 @@ from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_elements import with_laws
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share, nearly_as_well
+from nmt_diagnose.law.record_check import RecordCheck, check_of
 from nmt_diagnose.law.record_delay import delay_of
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed, words_of
 from nmt_diagnose.observations.observables import Observations
@@ -76,12 +77,15 @@ def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:
         above: float = math.nan,
         by_file: float = math.nan,
         late: float = float(records.late),
+        check: RecordCheck | None = None,
     ) -> tuple[LawReading, FloatArray]:
         inside = closed_share(before, after) if laws else math.nan
         refusals = (why,) if why else ()
         lateness = (records.force_channel, late / records.force_rate) if records.late else None
         return (
-            LawReading(name, records.count, laws, before, after, inside, above, refusals, True, by_file, lateness),
+            LawReading(
+                name, records.count, laws, before, after, inside, above, refusals, True, by_file, lateness, check
+            ),
             search.worth,
         )
 
@@ -106,13 +110,15 @@ def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:
         why = "the parts of the largest motion are predicted worse with it"
     law = _law(search, best, tried)
     by_file = math.nan if why else _closed_by_file(rig, search, best, law, top)
-    return reading(why, law, after=best.score, above=above, by_file=by_file, late=search.late(best))
+    return reading(
+        why, law, after=best.score, above=above, by_file=by_file, late=search.late(best), check=check_of(search, best)
+    )
 
 
 def _closed_by_file(rig: Rig, search: RecordSearch, best: RecordLaw, law: LocalLaw, out: list[int]) -> float:
     """Share of the gap at some parts that a rig file closes whose strengths are those of all others."""
     columns = search.records.columns([term for block in best.blocks for term in block.terms])
-    values = search.problem.without(columns, signed(best.blocks), out)
+    _, values = search.problem.without(columns, signed(best.blocks), out)
     refitted = replace(best, fit=replace(best.fit, coefficients=values))
     count = len(refitted.terms)
     others = replace(law, terms=_law_terms(refitted, np.zeros((count, count)))) if refitted.acts else law

@@ -91,7 +91,7 @@ def autocorrelation(records: MovedRecords, left: FloatArray) -> tuple[FloatArray
         squares, rows = squares + float(values @ values), rows + values.size
     found = sums / np.maximum(pairs, 1.0) * rows / max(squares, 1e-300)
     found[0] = 1.0
-    return step * np.arange(count), found
+    return np.asarray(step * np.arange(count)), found
 
 
 def _times(records: MovedRecords) -> list[FloatArray]:

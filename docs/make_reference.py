@@ -217,8 +217,8 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "held": "it is a support: the model has its nodes free, and the bench holds them",
         "stiffness_factor": "factor on its stiffness",
         "mass_factor": "factor on its mass",
-        "compliance_m_n": "of a support: of all springs together in each direction, spread evenly over its nodes; 0 = "
-        "rigid",
+        "compliance_m_n": "of a support: of all springs together in each direction, as stiff all over its length or "
+        "area; 0 = rigid",
         "rotational_compliance_rad_nm": "the same of its rotations, where the nodes have them",
         "stiffness_std": "relative standard uncertainty of its stiffness: within it a diagnosis re-fits the factor; 0 "
         "= an error of it is an effect",

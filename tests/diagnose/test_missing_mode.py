@@ -26,7 +26,6 @@ from nmt_diagnose.fit.low_level_modes import Modes, measured_modes, more_modes, 
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.prediction.operating_range import operating_range, receptances
 from nmt_diagnose.search import search as searching
-from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, load_rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_structure
@@ -157,8 +156,25 @@ def test_a_small_mass_on_a_spring_is_a_resonance():
     middle = np.argmin(np.abs(hz - 48.0))
     responses = np.array([two + 0.4j * two[middle] / term(48.0)[middle] * term(48.0) for two in strong])
     assert measured_modes(hz, responses, 2).poles.size == 2
-    found = measured_modes(hz, responses, 2, THRESHOLDS.modes.missing_share)
+    found = measured_modes(hz, responses, 2, local=True)
     np.testing.assert_allclose(found.frequencies_hz, [30.0, 48.0, 70.0], rtol=1e-2)
+
+
+def test_a_mode_of_two_channels_is_local_and_one_of_a_single_channel_is_noise():
+    """Of six channels; the others do not know it."""
+    hz = np.linspace(20.0, 80.0, 300)
+    s = 2j * np.pi * hz
+
+    def term(hertz: float) -> np.ndarray:
+        pole = 2.0 * np.pi * hertz * (1j - 0.01)
+        return np.asarray(2.0 * hertz / (s**2 - 2.0 * pole.real * s + abs(pole) ** 2))
+
+    plain = [term(30.0) + sign * term(70.0) for sign in (1.0, -1.0, 1.0, -1.0, 1.0, -1.0)]
+    for channels, hertz in ((2, [30.0, 48.0, 70.0]), (1, [30.0, 70.0])):
+        responses = np.array([two + (0.3 * term(48.0) if k < channels else 0.0) for k, two in enumerate(plain)])
+        found = measured_modes(hz, responses, 2, local=True)
+        np.testing.assert_allclose(found.frequencies_hz, hertz, rtol=1e-2)
+        assert measured_modes(hz, responses, 2).poles.size == 2
 
 
 def test_the_nearest_places_are_fitted(monkeypatch: pytest.MonkeyPatch):
@@ -185,13 +201,27 @@ def test_the_nearest_places_are_fitted(monkeypatch: pytest.MonkeyPatch):
     assert fitted == ["4", "5", "3", "6", "2", "7", "1", "8"]
 
 
-def test_what_moves_modes_adds_none():
-    def at(*hertz: float) -> Modes:
-        return Modes(2.0 * np.pi * np.array(hertz) * (1j - 0.01), np.eye(len(hertz), dtype=np.complex128))
+def more(found: list[float], model: list[float], which: list[int], narrow: int = -1) -> bool:
+    """Whether there are more modes; of the model's ``narrow`` one the lines are wider apart than its resonance."""
 
-    assert more_modes(at(20.0, 45.0, 60.0), at(22.0, 61.0), BAND)
-    assert not more_modes(at(20.0, 45.0, 60.0), at(22.0, 50.0, 70.0), BAND)
-    assert not more_modes(at(20.0, 60.0, 89.0), at(22.0, 62.0, 95.0), BAND)
+    def at(hertz: list[float]) -> Modes:
+        dampings = np.where(np.arange(len(hertz)) == narrow, 1e-4, 0.01)
+        return Modes(2.0 * np.pi * np.array(hertz) * (1j - dampings), np.eye(len(hertz), dtype=np.complex128))
+
+    return more_modes(at(found), at(model), np.arange(*BAND, 0.5), np.array(which))
+
+
+def test_what_moves_modes_adds_none():
+    assert more([20.0, 45.0, 60.0], [22.0, 61.0], [0, -1, 1])
+    assert not more([20.0, 45.0, 60.0], [22.0, 50.0, 70.0], [0, 1, 2])
+    assert not more([20.0, 60.0, 89.0], [22.0, 62.0, 95.0], [0, 1, -1])
+
+
+def test_a_mode_that_lines_cannot_show_does_not_count():
+    """Two resonances beside a model of two, one of which is too narrow; unless one of the resonances is that."""
+    assert more([45.0, 60.0], [22.0, 61.0], [-1, 1], narrow=0)
+    assert not more([45.0, 60.0], [22.0, 61.0], [-1, 1])
+    assert not more([22.0, 60.0], [22.0, 61.0], [0, 1], narrow=0)
 
 
 def test_modes_of_several_tests_stand_side_by_side():

@@ -209,7 +209,7 @@ def compared_with(log_ratio: float) -> float:
         rows=rows, observations=SimpleNamespace(values=np.array([log_ratio])), selected=np.zeros(1, dtype=int),
         forward=SimpleNamespace(difference=lambda left, right: left - right),
     )  # fmt: skip
-    modes._logarithms = lambda *arguments: ModesLeftOut._logarithms(modes, *arguments)
+    modes.logarithms = lambda *arguments: ModesLeftOut.logarithms(modes, *arguments)
     test: Any = SimpleNamespace(measured_responses=lambda level, channel: None)
     base: Any = SimpleNamespace(values=np.zeros(1))
     return float(np.log(ModesLeftOut._between(modes, test, 0, np.zeros(1, dtype=int), base))[0].real)

@@ -16,7 +16,7 @@ import numpy as np
 from ruamel.yaml import YAML
 from scipy import sparse
 from scipy.sparse.linalg import eigsh, splu
-from skfem import Basis, BilinearForm, ElementQuad2, ElementQuadBFS, ElementVector, MeshQuad
+from skfem import Basis, BilinearForm, ElementQuad2, ElementQuadBFS, ElementVector, FacetBasis, MeshQuad
 from skfem.helpers import dd, ddot, dot, grad, sym_grad
 
 from nmt_bench.data_import import import_data
@@ -78,6 +78,7 @@ class Assembled:
     Attributes:
         stiffness, mass: of the whole plate.
         parts: stiffness and mass by patch ``patch1`` …; ``twist``: stiffness alone.
+        edge: of springs against the slopes, 1 N m/rad in all, as stiff all along the clamp.
         places: (n, 3) of each row's node.
         nodes: (n,) number of each row's node, from 1.
         directions: (n,) 3 of w, 4 and 5 of its slopes, 7 of its twist.
@@ -86,6 +87,7 @@ class Assembled:
     stiffness: Any
     mass: Any
     parts: dict[str, tuple[Any, Any]]
+    edge: Any
     places: np.ndarray
     nodes: np.ndarray
     directions: np.ndarray
@@ -119,6 +121,10 @@ def assembled(plate: Plate, elements: tuple[int, int]) -> Assembled:
         return 2.0 * bending * (1.0 - plate.poisson) * dd(u)[0, 1] * dd(v)[0, 1]
 
     @BilinearForm
+    def sprung(u, v, w):  # type: ignore[no-untyped-def]
+        return dot(grad(u), grad(v)) / width
+
+    @BilinearForm
     def inertia(u, v, w):  # type: ignore[no-untyped-def]
         return plate.density * thickness * u * v
 
@@ -142,7 +148,8 @@ def assembled(plate: Plate, elements: tuple[int, int]) -> Assembled:
         parts[f"patch{number}"] = (matrix(elastic, patch), matrix(inertia, patch))
     parts["twist"] = (matrix(twisted), None)
     places = np.column_stack([mesh.p.T, np.zeros(mesh.p.shape[1])])
-    return Assembled(matrix(elastic), matrix(inertia), parts, places[nodes - 1], nodes, directions)
+    edge = matrix(sprung, FacetBasis(mesh, ElementQuadBFS(), facets=mesh.facets_satisfying(lambda x: x[0] < 1e-9)))
+    return Assembled(matrix(elastic), matrix(inertia), parts, edge, places[nodes - 1], nodes, directions)
 
 
 def shear_soft(plate: Plate, elements: tuple[int, int]) -> tuple[Any, Any, np.ndarray]:
@@ -210,9 +217,7 @@ def specimen_matrices(plate: Plate, elements: tuple[int, int]) -> tuple[Any, Any
     if plate.kind == BOUNDARY:
         # Turns about both axes are elastic; the lateral motion and the twist are held.
         gives = np.isin(mesh.directions[clamped], (4, 5))
-        springs = np.zeros(k.shape[0])
-        springs[clamped[gives]] = 1.0 / (plate.compliance * np.unique(mesh.nodes[clamped]).size)
-        k, held = k + sparse.diags(springs), clamped[~gives]
+        k, held = k + mesh.edge / plate.compliance, clamped[~gives]
     free = np.setdiff1d(np.arange(k.shape[0]), held)
     at = np.searchsorted(free, [mesh.row(place, 3) for place in plate.points])
     return k[free][:, free].tocsr(), m[free][:, free].tocsr(), at

@@ -15,7 +15,7 @@ from nmt_rig.file_errors import BadFileError
 from nmt_rig.matrix_files import read_model
 from nmt_rig.model.matrix_structure import Matrices, Part, craig_bampton, projection
 from nmt_rig.model.packed_matrix import packed
-from nmt_rig.model.regions import Rows, Support, block_of, supported
+from nmt_rig.model.regions import Rows, Support, block_of, spread_of, supported
 from nmt_rig.named_rows import NamedModel, Units
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
@@ -102,7 +102,11 @@ def _region(model: NamedModel, name: str, section: Any, folder: Path, units: Uni
         directions = labels[rows] % 100
         translations, turned = rows[(directions >= 1) & (directions <= 3)], rows[(directions >= 4) & (directions <= 6)]
         others = rows[(directions < 1) | (directions > 6)]
-        return Region(section, nodes, support=Support(name, len(nodes), translations, turned, others))
+        spread = tuple(
+            spread_of(model.matrices["mass"], translations, labels[translations], part, labels[part])
+            for part in (translations, turned)
+        )
+        return Region(section, nodes, support=Support(name, len(nodes), translations, turned, others, spread))
     if not from_file and not rows.size:
         raise ValueError("it has neither nodes nor a file")
     mass = from_file.get("mass")

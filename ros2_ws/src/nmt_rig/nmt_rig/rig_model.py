@@ -122,7 +122,8 @@ def _bare_structure(s: BeamSection | ChainSection | ModalSection | MatricesSecti
 
 def _matrix_structure(s: MatricesSection) -> Structure:
     mass, stiffness = np.array(s.mass_kg), np.array(s.stiffness_n_m)
-    kept = _with_regions(s, mass, stiffness)
+    _add_regions(s, mass, stiffness)
+    kept = s.moving_rows  # points come first among the rows, so that their numbers stay
     mass, stiffness = mass[np.ix_(kept, kept)], stiffness[np.ix_(kept, kept)]
     damping = np.zeros_like(mass)
     if s.damping_ns_m is not None:
@@ -147,26 +148,16 @@ def _matrix_structure(s: MatricesSection) -> Structure:
     )
 
 
-def _with_regions(s: MatricesSection, mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> list[int]:
-    """Change mass and stiffness to what the regions say; rows that are left, all but those of ideal supports.
-
-    Points come first among the rows, so that their numbers stay.
-    """
-    ideal: set[int] = set()
+def _add_regions(s: MatricesSection, mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> None:
+    """Change mass and stiffness to what the regions say."""
     for region in s.regions.values():
         if region.stiffness_factor != 1.0:
             stiffness += (region.stiffness_factor - 1.0) * unpacked(str(region.stiffness_n_m))
         if region.mass_factor != 1.0:
             mass += (region.mass_factor - 1.0) * unpacked(str(region.mass_kg))
-        for rows, compliance in (
-            (region.translation_rows, region.compliance_m_n),
-            (region.rotation_rows, region.rotational_compliance_rad_nm),
-        ):
+        for rows, compliance in region.supports:
             if compliance:
                 stiffness[rows, rows] += 1.0 / (compliance * len(region.nodes))
-            else:
-                ideal.update(rows)
-    return [row for row in range(mass.shape[0]) if row not in ideal]
 
 
 def build_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:

@@ -198,6 +198,14 @@ class RegionSection(Section):
     translation_rows: Annotated[list[int], Field(default_factory=list)]
     rotation_rows: Annotated[list[int], Field(default_factory=list)]
 
+    @property
+    def supports(self) -> tuple[tuple[list[int], float], ...]:
+        """Rows that it holds, and the compliance of all their springs together; 0 = ideal."""
+        return (
+            (self.translation_rows, self.compliance_m_n),
+            (self.rotation_rows, self.rotational_compliance_rad_nm),
+        )
+
     @model_validator(mode="after")
     def _fits(self) -> RegionSection:
         absent = (
@@ -245,6 +253,18 @@ class MatricesSection(StructureSection):
     def held_rows(self) -> list[int]:
         """Rows that supports hold where they are ideal."""
         return [row for each in self.regions.values() for row in (*each.translation_rows, *each.rotation_rows)]
+
+    @property
+    def moving_rows(self) -> list[int]:
+        """Rows that move: all but those of ideal supports."""
+        ideal = {
+            row
+            for region in self.regions.values()
+            for rows, compliance in region.supports
+            if not compliance
+            for row in rows
+        }
+        return [row for row in range(len(self.mass_kg)) if row not in ideal]
 
     @property
     def points(self) -> Sequence[int]:

@@ -29,6 +29,7 @@ from nmt_diagnose.chain.chain_tests import (
     later,
     with_phase_step,
 )
+from nmt_diagnose.chain.coupled_modes import CoupledModes
 from nmt_diagnose.chain.modes_left_out import ModesLeftOut
 from nmt_diagnose.chain.record_errors import record_errors
 from nmt_diagnose.chain.shape_errors import ShapeErrors
@@ -46,6 +47,7 @@ from nmt_rig.rig import BeamSection, Rig, SensorSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _IMAGE = "image"
+_ADDED = (_IMAGE, CoupledModes.__name__)
 _OF_A_TEST = ("start ", "settling ", "phase of ")  # as well known as the test's own samples tell them
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
 _IMAGE_ORDERS = (-1, 1, -2, 2)
@@ -137,7 +139,7 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     information = {name: float(np.sum((column / observations.sigma) ** 2)) for name, column in found.items()}
     kept = [name for name in found if information[name] > THRESHOLDS.misfit.least_chain_error]
     columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))
-    return Chain(tuple(kept), columns, np.array([name.startswith(_IMAGE) for name in kept], dtype=bool))
+    return Chain(tuple(kept), columns, np.array([name.startswith(_ADDED) for name in kept], dtype=bool))
 
 
 def _unsettled(observations: Observations) -> dict[str, FloatArray]:
@@ -217,7 +219,7 @@ class ChainBuilder:
         """All columns by name, of all rows."""
         found = self._channels() | self._clock() | self._voltage() | self._hold() | self._images()
         found |= self.aims() | self._harmonics() | self._sweeps() | self._mesh()
-        for module in (ModesLeftOut(self.tests), ShapeErrors(self.tests)):
+        for module in (ModesLeftOut(self.tests), ShapeErrors(self.tests), CoupledModes(self.tests)):
             name = type(module).__name__
             found |= {f"{name} {k}": column for k, column in enumerate(module.columns(self.base))}
         return {name: self.tests.full(column) for name, column in found.items()}

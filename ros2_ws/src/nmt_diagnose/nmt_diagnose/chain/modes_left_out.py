@@ -90,13 +90,13 @@ class ModesLeftOut:
         if measured is not None:
             return measured
         difference = self.forward.difference(self.observations.values[self.selected], base.values)
-        apart = self._logarithms(number, selected, difference)
+        apart = self.logarithms(number, selected, difference)
         frequency = self.rows.frequency_hz[selected]
         apart -= 1j * frequency * float(frequency @ apart.imag) / max(float(frequency @ frequency), 1.0)
         apart[np.abs(apart.real) > THRESHOLDS.misfit.large_log_ratio] *= 2.0
-        return np.exp(self._logarithms(number, selected, base.values) + 0.5 * apart)
+        return np.exp(self.logarithms(number, selected, base.values) + 0.5 * apart)
 
-    def _logarithms(self, number: int, selected: IntArray, values: FloatArray) -> ComplexArray:
+    def logarithms(self, number: int, selected: IntArray, values: FloatArray) -> ComplexArray:
         """Complex logarithms of the responses of rows, from those of magnitude and phase."""
         found = np.zeros(selected.size, dtype=np.complex128)
         place = self.rows.level * (int(np.max(self.rows.channel)) + 1) + self.rows.channel

@@ -115,8 +115,8 @@ REGION_EFFECTS: tuple[Effect, ...] = (
 )  # fmt: skip
 SUPPORT_EFFECT = Effect(
     name="clamp_compliance", place="boundary",
-    equation="springs of 1/compliance together, spread evenly over the nodes of a region that is held, in their "
-    "directions (or rotations)",
+    equation="springs of 1/compliance together, spread evenly over the length or area of a region that is held, in the "
+    "directions of its nodes (or rotations)",
     reference="Gorman, Free Vibration Analysis of Beams and Shafts (1975); " + _UPDATING,
     keys="structure.regions.NAME.compliance_m_n, structure.regions.NAME.rotational_compliance_rad_nm",
     parameters=(EffectParameter("compliance", "m/N or rad/(N m)"),),

@@ -96,20 +96,18 @@ def side_by_side(models: Sequence[Modes]) -> Modes:
     return Modes(first, np.hstack([each.shapes[order] for each, order in zip(models, nearest, strict=True)]))
 
 
-def measured_modes(
-    frequency_hz: FloatArray, responses: ComplexArray, expected: int, least_share: float | None = None
-) -> Modes:
+def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: int, local: bool = False) -> Modes:
     """Modes of frequency responses by vector fitting: poles that all channels share are relocated until they stay.
 
     Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052, with all channels on one set of poles. Kept are
-    poles that carry most of the response at their frequency in some channel and much of it in half of the channels.
+    poles that carry much of the response at their frequency in half of the channels. Local ones, such as of a mass on a
+    spring far from the force, carry a part of it in two channels; noise has no pole in common.
 
     Args:
         frequency_hz: lines, ascending, (n,).
         responses: motions over a force or voltage, (channels, n); not a number where a line is missing.
         expected: modes that are expected.
-        least_share: of the response at its frequency that a mode carries in half of the channels; None = that of a
-            mode.
+        local: keep local modes, too.
 
     Returns:
         Modes within the lines; shapes are residues over 2π times the last line, (k, channels).
@@ -142,13 +140,12 @@ def measured_modes(
         poles = -np.abs(found.real) + 1j * found.imag
         if not poles.size:
             return Modes(np.zeros(0, dtype=np.complex128), np.zeros((0, len(responses)), dtype=np.complex128))
-    least_share = THRESHOLDS.modes.mode_share if least_share is None else least_share
-    return _kept(frequency_hz, responses, known, poles, s, scale, least_share)
+    return _kept(frequency_hz, responses, known, poles, s, scale, local)
 
 
 def _kept(
     frequency_hz: FloatArray, responses: ComplexArray, known: np.ndarray, poles: ComplexArray, s: ComplexArray,
-    scale: float, least_share: float,
+    scale: float, local: bool,
 ) -> Modes:  # fmt: skip
     design = np.hstack([_basis(s, poles), np.ones((s.size, 1)), s[:, None]])
     residues, shares = [], []
@@ -167,17 +164,20 @@ def _kept(
         shares.append(np.abs(single) / np.maximum(np.abs(total), 1e-300))
     carried = np.array(shares)
     damping = -poles.real / np.abs(poles)
-    spacing = np.interp(poles.imag * scale / (2.0 * np.pi), frequency_hz, np.gradient(frequency_hz))
-    wide = -2.0 * poles.real * scale / (2.0 * np.pi) > THRESHOLDS.modes.least_width_lines * spacing
+    in_hz = scale / (2.0 * np.pi)
+    wide = _wider_than_lines(-2.0 * poles.real * in_hz, poles.imag * in_hz, frequency_hz)
     inside = (poles.imag > s[0].imag) & (poles.imag < s[-1].imag)
-    good = (
-        inside
-        & wide
-        & (damping < THRESHOLDS.modes.highest_measured_damping)
-        & (np.median(carried, axis=0) > least_share)
-    )
+    good = inside & wide & (damping < THRESHOLDS.modes.highest_measured_damping) & _carries(carried, local)
     order = np.flatnonzero(good)[np.argsort(poles.imag[good])]
     return Modes(poles[order] * scale, np.array(residues).T[order])
+
+
+def _carries(shares: FloatArray, local: bool) -> NDArray[np.bool_]:
+    """Whether poles carry enough of the responses to be modes: shares (channels, k) of them."""
+    if not local:
+        return np.asarray(np.median(shares, axis=0) > THRESHOLDS.modes.mode_share)
+    second = np.sort(shares, axis=0)[-2:][0]
+    return np.asarray(second > THRESHOLDS.modes.missing_share)
 
 
 def _basis(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
@@ -234,15 +234,29 @@ def paired(found: Modes, model: Modes, likeness: FloatArray) -> NDArray[np.int64
     return which
 
 
-def more_modes(found: Modes, model: Modes, band_hz: tuple[float, float]) -> bool:
+def more_modes(found: Modes, model: Modes, lines: FloatArray, which: np.ndarray) -> bool:
     """Whether responses show more resonances in their band than the model has there or just outside.
 
-    What moves the modes that the model has, such as a mass, adds none.
+    What moves the modes that the model has, such as a mass, adds none. A mode of the model that is too narrow for the
+    lines, and that no resonance is, could not have been found and does not count.
+
+    Args:
+        found: modes of the responses, k of them.
+        model: those of the model.
+        lines: Hz, ascending, (n,).
+        which: the model's mode of each that was found, -1 where it has none, (k,).
     """
-    reach = math.exp(THRESHOLDS.modes.near_log_frequency)
-    hertz = model.frequencies_hz
-    there = (hertz > band_hz[0] / reach) & (hertz < band_hz[1] * reach)
-    return found.poles.size > int(there.sum())
+    reach, hertz = math.exp(THRESHOLDS.modes.near_log_frequency), model.frequencies_hz
+    there = (hertz > lines[0] / reach) & (hertz < lines[-1] * reach)
+    shown = _wider_than_lines(2.0 * model.dampings * hertz, hertz, lines)
+    shown[which[which >= 0]] = True
+    return found.poles.size > int((there & shown).sum())
+
+
+def _wider_than_lines(width_hz: FloatArray, frequency_hz: FloatArray, lines: FloatArray) -> NDArray[np.bool_]:
+    """Which resonances lines can tell from noise."""
+    spacing = np.interp(frequency_hz, lines, np.gradient(lines))
+    return np.asarray(width_hz > THRESHOLDS.modes.least_width_lines * spacing)
 
 
 def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -> list[tuple[float, str]]:
@@ -353,11 +367,11 @@ class LowLevelModes:
             model = side_by_side([each.model for each in looked])
             inside = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
             responses = np.vstack([each.over(lines) for each in looked])
-            found = measured_modes(lines, responses, int(inside.sum()), THRESHOLDS.modes.missing_share)
+            found = measured_modes(lines, responses, int(inside.sum()), local=True)
             band_hz = float(lines[0]), float(lines[-1])
-            if not more_modes(found, model, band_hz):
-                continue
             which = paired(found, model, found.likeness(model))
+            if not more_modes(found, model, lines, which):
+                continue
             for pole in map(complex, found.poles[which < 0]):
                 apart = [abs(math.log(abs(pole) / abs(known.pole))) for known in result]
                 if all(value >= THRESHOLDS.modes.same_log_frequency for value in apart):

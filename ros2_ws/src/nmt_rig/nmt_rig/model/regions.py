@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.linalg import eigh
+from scipy.sparse.linalg import splu
 
 from nmt_rig.model.matrix_structure import Matrices, craig_bampton
 
@@ -24,13 +25,15 @@ _REACTIONS, _SMALLEST = 12, 1e-4
 
 @dataclass(frozen=True)
 class Support:
-    """Rows that an ideal support holds and an elastic one carries by a spring each.
+    """Rows that an ideal support holds and an elastic one carries by springs.
 
     Attributes:
         name: of its region.
         nodes: number of its nodes.
         translations, rotations: rows of either kind.
         others: rows of its nodes that are neither; held whatever it is made of.
+        spread: (translations, translations) and (rotations, rotations) springs of a support that is as stiff all over;
+            the entries of each direction sum to ``nodes``. None = a spring of 1 at each row.
     """
 
     name: str
@@ -38,6 +41,13 @@ class Support:
     translations: Rows
     rotations: Rows
     others: Rows
+    spread: tuple[Any, Any] | None = None
+
+    @property
+    def springs(self) -> tuple[tuple[Rows, Any], ...]:
+        """Rows of translations and of rotations with the springs between them."""
+        each = self.spread or tuple(sparse.eye(rows.size, format="csc") for rows in (self.translations, self.rotations))
+        return tuple(zip((self.translations, self.rotations), each, strict=True))
 
 
 @dataclass(frozen=True)
@@ -48,8 +58,8 @@ class Supported:
         matrices: of the free rows, then the patterns.
         motion: (N, n) motion of the rows of the full structure by them.
         free: (f,) rows of the full structure that are not supported.
-        patterns: by support and kind (0 translations, 1 rotations): columns of ``motion``; springs of unit stiffness at
-            all rows of a kind are springs of unit stiffness at its patterns.
+        patterns: by support and kind (0 translations, 1 rotations): columns of ``motion``; the springs of a kind are
+            springs of unit stiffness at its patterns.
     """
 
     matrices: Matrices
@@ -66,11 +76,48 @@ def block_of(matrix: Any, rows: Rows) -> Any:
     return sparse.csr_matrix(only @ sparse.csr_matrix(matrix) @ only)
 
 
+def spread_of(mass: Any, rows: Rows, labels: Rows, others: Rows, other_labels: Rows) -> Any:
+    """Springs between rows of a support that is as stiff all over its length or area.
+
+    They have the form of the mass of its nodes: ∫ NᵀN of the elements along it. A spring for each node would be too
+    stiff against turning, by 2/n² along n elements even where its ends have half of one.
+
+    Args:
+        mass: (n, n) of the structure, sparse.
+        rows: translations of the nodes, which have the mass.
+        labels: node · 100 + direction of these.
+        others: rows between which the springs are.
+        other_labels: the same of these.
+
+    Returns:
+        Sparse (others, others); the entries of each direction sum to the number of its nodes. Nodes without mass have
+        a spring each.
+    """
+    nodes, number = np.unique(np.concatenate([labels // 100, other_labels // 100]), return_inverse=True)
+    of, count = number[: rows.size], nodes.size
+    own = sparse.csr_matrix(mass)[rows][:, rows]
+    alike = sparse.coo_matrix(own)
+    same = labels[alike.row] % 100 == labels[alike.col] % 100
+    blocks = sparse.csr_matrix(
+        (alike.data[same], (of[alike.row[same]], of[alike.col[same]])), shape=(count, count)
+    )  # the sum over directions
+    if not np.all(blocks.diagonal() > 0.0):
+        return sparse.eye(others.size, format="csc")
+    parts, at = [], []
+    for direction in np.unique(other_labels % 100):
+        here = np.flatnonzero(other_labels % 100 == direction)
+        part = blocks[number[rows.size + here]][:, number[rows.size + here]]
+        parts.append(part * (here.size / part.sum()))
+        at.append(here)
+    order = np.argsort(np.concatenate(at)) if at else np.zeros(0, int)
+    return sparse.csc_matrix(sparse.block_diag(parts))[order][:, order] if parts else sparse.csc_matrix((0, 0))
+
+
 def supported(matrices: Matrices, kept: Sequence[int], modes: int, supports: Sequence[Support]) -> Supported:
     """The structure with its supports elastic in the patterns that their reactions have.
 
-    A support of compliance c that is spread evenly moves by −c times its reactions, so that the reactions of the modes
-    of the held structure are what it moves by to first order, and their span is right to second order in frequencies.
+    An elastic support moves by minus its reactions over its springs, so that this, of the reactions of the modes of the
+    held structure, is what it moves by to first order, and their span is right to second order in frequencies.
 
     Args:
         matrices: checked matrices of the structure without its supports.
@@ -92,12 +139,14 @@ def supported(matrices: Matrices, kept: Sequence[int], modes: int, supports: Seq
     lowest = np.asarray(small.basis) @ (shapes[:, :_REACTIONS] / squares[:_REACTIONS])
     columns, patterns, at = [], {}, free.size
     for support in supports:
-        for kind, rows in enumerate((support.translations, support.rotations)):
+        for kind, (rows, springs) in enumerate(support.springs):
             if not rows.size:
                 continue
             reactions = np.asarray(stiffness[rows][:, free] @ lowest)
-            directions, sizes, _ = np.linalg.svd(reactions, full_matrices=False)
-            directions = directions[:, sizes > _SMALLEST * sizes[0]]
+            gives = splu(sparse.csc_matrix(springs)).solve(reactions)
+            energies, combined = eigh(reactions.T @ gives)
+            kept_patterns = energies > _SMALLEST**2 * energies[-1]
+            directions = gives @ (combined[:, kept_patterns] / np.sqrt(energies[kept_patterns]))
             pattern = np.zeros((matrices.size, directions.shape[1]))
             pattern[rows] = directions
             columns.append(pattern)

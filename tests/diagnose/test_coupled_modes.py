@@ -132,3 +132,13 @@ def test_couplings_are_added_to_lines_and_do_not_multiply_them():
     columns = linear_chain(found, rig(), own.forward.predict(rig()))
     added = [name for name, is_added in zip(columns.names, columns.added, strict=True) if is_added]
     assert len([name for name in added if name.startswith("CoupledModes")]) == len(added) == 4
+
+
+def test_a_mass_on_a_spring_is_coupled_to_nothing():
+    oscillator = [{"point": 2, "mass_kg": 1e-9, "frequency_hz": 70.0, "damping_ratio": 0.1}]
+    found = []
+    for model in (rig(), rig(oscillators=oscillator)):
+        own = chain(model, responses(STIFFNESS, DAMPING))
+        found.append(CoupledModes(own).columns(own.forward.predict(model)))
+    for one, other in zip(*found, strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-4 * np.max(np.abs(one)))

@@ -51,13 +51,14 @@ class CoupledModes:
         Args:
             base: prediction of the chain's tests.
         """
-        rig = self.chain.rig
-        if not isinstance(rig.structure, MatricesSection):
+        rig, section = self.chain.rig, self.chain.rig.structure
+        if not isinstance(section, MatricesSection):
             return []
+        bare = rig.model_copy(update={"structure": section.model_copy(update={"oscillators": []})})
         structure = build_plain_structure(rig)
         squares, shapes = eigh(structure.stiffness, structure.mass)
         omega, weighted = np.sqrt(np.maximum(squares, 0.0)), structure.mass @ shapes
-        damping = np.einsum("ik,ij,jk->k", shapes, completed_structure(structure, rig).damping, shapes)
+        damping = np.einsum("ik,ij,jk->k", shapes, completed_structure(structure, bare).damping, shapes)
         found = []
         for first, second in self.pairs(omega / (2.0 * np.pi)):
             both = np.outer(weighted[:, first], weighted[:, second])

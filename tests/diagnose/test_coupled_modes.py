@@ -67,7 +67,7 @@ def chain(model: Rig, measured: np.ndarray) -> ChainTests:
     return ChainTests(found, model, dict(enumerate(found.chains)))
 
 
-def expected(first: int, second: int, kind: str, model: Rig, over: np.ndarray, own: ChainTests) -> np.ndarray:
+def expected(first: int, second: int, kind: str, model: Rig, over: np.ndarray, tests_of: ChainTests) -> np.ndarray:
     """Change of the rows by the modal matrices, over what was measured."""
     squares, shapes = eigh(STIFFNESS, MASS)
     both = MASS @ (np.outer(shapes[:, first], shapes[:, second]) + np.outer(shapes[:, second], shapes[:, first])) @ MASS
@@ -79,8 +79,8 @@ def expected(first: int, second: int, kind: str, model: Rig, over: np.ndarray, o
     step = 1e-4 * size * both
     moved = responses(STIFFNESS + step, DAMPING) if kind == "stiffness" else responses(STIFFNESS, DAMPING + step)
     change = (moved - responses(STIFFNESS, DAMPING)) / 1e-4 / over
-    rows = own.rows
-    points = np.array([own.tests[t].channels[c].point for t, c in zip(rows.test, rows.channel, strict=True)])
+    rows = tests_of.rows
+    points = np.array([tests_of.tests[t].channels[c].point for t, c in zip(rows.test, rows.channel, strict=True)])
     lines = np.array([int(np.argmin(np.abs(LINES - hz))) for hz in rows.frequency_hz])
     each = change[lines, points - 1]
     return np.where(rows.part == Part.PHASE, each.imag, each.real)
@@ -90,13 +90,13 @@ def expected(first: int, second: int, kind: str, model: Rig, over: np.ndarray, o
 def test_a_column_is_the_change_over_what_was_measured(share: float):
     model = rig()
     over = share * responses(STIFFNESS, DAMPING)
-    own = chain(model, over)
-    found = CoupledModes(own).columns(own.forward.predict(model))
+    tests_of = chain(model, over)
+    found = CoupledModes(tests_of).columns(tests_of.forward.predict(model))
     pairs = [(0, 1), (1, 2)]  # the first and the last are a factor of two apart
     assert len(found) == 2 * len(pairs)
     for (first, second), columns in zip(pairs, zip(found[::2], found[1::2], strict=True), strict=True):
         for kind, column in zip(("stiffness", "damping"), columns, strict=True):
-            wanted = expected(first, second, kind, model, over, own)
+            wanted = expected(first, second, kind, model, over, tests_of)
             np.testing.assert_allclose(column, wanted, atol=5e-3 * np.max(np.abs(wanted)))
 
 
@@ -107,29 +107,29 @@ def test_damping_by_ratios_couples_no_less():
     measured = responses(STIFFNESS, DAMPING)
     found = []
     for model in (rig(), rig(damping_ns_m=None, damping_ratios=ratios)):
-        own = chain(model, measured)
-        found.append(CoupledModes(own).columns(own.forward.predict(model)))
+        tests_of = chain(model, measured)
+        found.append(CoupledModes(tests_of).columns(tests_of.forward.predict(model)))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, atol=0.03 * np.max(np.abs(one)))
 
 
 def test_modes_that_are_far_apart_are_not_coupled():
-    own = chain(rig(), responses(STIFFNESS, DAMPING))
-    assert CoupledModes(own).pairs(np.array([45.0, 80.0, 120.0])) == [(0, 1), (1, 2)]
-    assert CoupledModes(own).pairs(np.array([10.0, 45.0, 300.0])) == []
+    tests_of = chain(rig(), responses(STIFFNESS, DAMPING))
+    assert CoupledModes(tests_of).pairs(np.array([45.0, 80.0, 120.0])) == [(0, 1), (1, 2)]
+    assert CoupledModes(tests_of).pairs(np.array([10.0, 45.0, 300.0])) == []
 
 
 def test_structures_that_are_no_matrices_have_none():
-    own = chain(rig(), responses(STIFFNESS, DAMPING))
+    tests_of = chain(rig(), responses(STIFFNESS, DAMPING))
     masses = {"kind": "chain", "masses_kg": [1.0, 1.0, 1.0], "springs_n_m": [1e5, 1e5]}
-    own.rig = validate_rig(RigDocument("test", {"name": "row", "structure": masses, **DRIVE}, {}))
-    assert CoupledModes(own).columns(own.forward.predict(rig())) == []
+    tests_of.rig = validate_rig(RigDocument("test", {"name": "row", "structure": masses, **DRIVE}, {}))
+    assert CoupledModes(tests_of).columns(tests_of.forward.predict(rig())) == []
 
 
 def test_couplings_are_added_to_lines_and_do_not_multiply_them():
     found = observed(rig(), responses(STIFFNESS, DAMPING))
-    own = ChainTests(found, rig(), dict(enumerate(found.chains)))
-    columns = linear_chain(found, rig(), own.forward.predict(rig()))
+    tests_of = ChainTests(found, rig(), dict(enumerate(found.chains)))
+    columns = linear_chain(found, rig(), tests_of.forward.predict(rig()))
     added = [name for name, is_added in zip(columns.names, columns.added, strict=True) if is_added]
     assert len([name for name in added if name.startswith("CoupledModes")]) == len(added) == 4
 
@@ -138,7 +138,7 @@ def test_a_mass_on_a_spring_is_coupled_to_nothing():
     oscillator = [{"point": 2, "mass_kg": 1e-9, "frequency_hz": 70.0, "damping_ratio": 0.1}]
     found = []
     for model in (rig(), rig(oscillators=oscillator)):
-        own = chain(model, responses(STIFFNESS, DAMPING))
-        found.append(CoupledModes(own).columns(own.forward.predict(model)))
+        tests_of = chain(model, responses(STIFFNESS, DAMPING))
+        found.append(CoupledModes(tests_of).columns(tests_of.forward.predict(model)))
     for one, other in zip(*found, strict=True):
         np.testing.assert_allclose(one, other, atol=1e-4 * np.max(np.abs(one)))

@@ -126,8 +126,8 @@ def strip(elements: int, length: float, consistent: bool = True) -> np.ndarray:
     """Mass of a line of two-node elements, kg for 1 kg/m."""
     mass = np.zeros((elements + 1,) * 2)
     for k in range(elements):
-        own = np.array([[2.0, 1.0], [1.0, 2.0]]) / 6.0 if consistent else np.eye(2) / 2.0
-        mass[k : k + 2, k : k + 2] += length / elements * own
+        element = np.array([[2.0, 1.0], [1.0, 2.0]]) / 6.0 if consistent else np.eye(2) / 2.0
+        mass[k : k + 2, k : k + 2] += length / elements * element
     return mass
 
 

@@ -95,8 +95,7 @@ def spread_of(mass: Any, rows: Rows, labels: Rows, others: Rows, other_labels: R
     """
     nodes, number = np.unique(np.concatenate([labels // 100, other_labels // 100]), return_inverse=True)
     of, count = number[: rows.size], nodes.size
-    own = sparse.csr_matrix(mass)[rows][:, rows]
-    alike = sparse.coo_matrix(own)
+    alike = sparse.coo_matrix(sparse.csr_matrix(mass)[rows][:, rows])
     same = labels[alike.row] % 100 == labels[alike.col] % 100
     blocks = sparse.csr_matrix(
         (alike.data[same], (of[alike.row[same]], of[alike.col[same]])), shape=(count, count)

@@ -47,7 +47,7 @@ _TURNING_SHARE = 0.7  # of what a parabola leaves before a quantity turns, which
 _LARGEST_BEND = 0.3  # rad, by which the curve may turn within a step
 _SHORTEST_STEP = 0.25  # of the spacing; also after a loss
 _DEVIATION = 0.25  # of a step, which a point may lie off its parabola
-_MOST_HALVINGS = 2  # of a step at a held response, from one point
+_MOST_HALVINGS = 2  # of steps along a curve at a held response
 _MOST_RESTARTS = 3  # from one point
 _SHORTER = 0.4  # step with each of them
 _WEIGHT = 3.2  # rad, |κ|: with less t_ϑ + κ t_x has the wrong sign where the lag falls, with more the response,
@@ -190,8 +190,11 @@ class CurveSteps:
 
     @property
     def is_given_up(self) -> bool:
-        """Whether a curve along the secant was lost from both ends: the lag of what was lost leads elsewhere."""
-        return self._along_secant and self._turned
+        """Whether a curve was lost from both ends, and trying what was lost anew from rest is of no use.
+
+        Along the secant its lag leads elsewhere; at a held response there is one answer, which was not held.
+        """
+        return self._turned and (self._along_secant or not self._holds_force)
 
     def _next_limit(self, point: _Point, step: CurveStep | None) -> float:
         """Longest step off the lag after a point: it grows, and shrinks where the point lies off its parabola."""
@@ -288,8 +291,8 @@ class CurveSteps:
         tried = (round(last, 9), round(lost, 9))
         if tried in self._lost or abs(half - last) <= self.shortest:
             return None
-        from_here = sum(place == tried[0] for place, _ in self._lost)
-        if not self._holds_force and from_here >= _MOST_HALVINGS:  # a held response folds nowhere: the loop swings
+        # A held response folds nowhere: the loop swings, and does so from there on.
+        if not self._holds_force and len(self._lost) >= _MOST_HALVINGS:
             return None
         self._lost.add(tried)
         return half

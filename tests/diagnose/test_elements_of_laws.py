@@ -71,6 +71,8 @@ def term_of(form: LawForm) -> tuple[Term, float]:
         first, second, size = 1.3 * REACH, 0.25, 3.0
     elif form.kind == "friction":
         first = 0.03 * SPEED
+    elif form.kind == "weakening friction":
+        first, second = 0.03 * SPEED, 3.0 * SPEED
     else:
         first = 0.3 * SPEED
         size = 0.5 * first
@@ -113,7 +115,10 @@ def named(number: int) -> str:
     return f"{FORMS[number].kind} {FORMS[number].exponent:g}"
 
 
-NOT_DRIVEN = {"weakening bristle 0": "4.6 % of the motion is lost: the limit falls within a sample or two"}
+NOT_DRIVEN = {
+    "weakening bristle 0": "4.6 % of the motion is lost: the limit falls within a sample or two",
+    "weakening friction 0": "8 %: alone it feeds what differs, 0.1 % of the force is 0.9 % of the motion",
+}
 NOT_READ = {
     "speed 0": "a linear spring takes a share of what noise and tolerances leave, 20 % of the inertia with it",
     "weakening bristle 0": "two with reaches on either side take its place: its limit falls within a sample or two",

@@ -177,8 +177,19 @@ def test_bristles_are_written_as_friction_of_bristles() -> None:
 
 
 def test_what_no_kind_of_element_has_is_not_written() -> None:
-    term = LawTerm("weakening friction", (1e-3, 0.1), 0.2, 0.0, "N")
+    term = LawTerm("gap damping", (1e-3,), 0.2, 0.0, "N s/m")
     assert element_of(term, LocalLaw(3, 0, "", (term,), 2e-3, (), ())) is None
+
+
+def test_what_friction_has_more_at_low_speed_is_written() -> None:
+    term = LawTerm("weakening friction", (1e-3, 0.1), 0.2, 0.0, "N")
+    section = element_of(term, LocalLaw(3, 0, "", (term,), 2e-3, (), ()))
+    assert section is not None
+    assert (section.kind, *section.own_values()) == ("weakening_friction", 0.2, 1e-3, 0.1)
+    v = np.linspace(-0.4, 0.4, 33)[np.newaxis]
+    force = Term("weakening friction", 1e-3, 0.1).force(np.zeros_like(v), v)
+    assert force == pytest.approx(np.tanh(v / 1e-3) * np.exp(-((v / 0.1) ** 2)), rel=1e-12)
+    assert np.all(force * v >= 0.0)
 
 
 def test_families_are_named_by_what_the_terms_do() -> None:

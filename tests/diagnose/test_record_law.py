@@ -243,6 +243,9 @@ def test_a_channel_that_nothing_follows_is_not_told(tmp_path: Path) -> None:
 CLOSED_FORMS: dict[str, Callable[[Any], FloatArray]] = {
     "cubic_spring": lambda it: it.stiffness_n_m3 * X**3,
     "tanh_friction": lambda it: it.slip_force_n * np.tanh(V / it.reference_velocity_m_s),
+    "weakening_friction": lambda it: (
+        it.slip_force_n * np.tanh(V / it.reference_velocity_m_s) * np.exp(-((V / it.decay_velocity_m_s) ** 2))
+    ),
     "two_sided_gap": lambda it: it.stiffness_n_m * np.sign(X) * np.maximum(np.abs(X) - it.gap_m, 0.0),
     "unilateral_stop": lambda it: it.stiffness_n_m * np.maximum(X - it.gap_m, 0.0),
     "jenkins": lambda it: jenkins(X, it.tangential_stiffness_n_m, it.slip_force_n),

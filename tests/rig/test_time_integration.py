@@ -32,7 +32,7 @@ from nmt_rig.model.local_elements.dampers import (
     PowerLawDamper,
     QuadraticDrag,
 )
-from nmt_rig.model.local_elements.friction import Jenkins, StribeckBelt, TanhFriction
+from nmt_rig.model.local_elements.friction import Jenkins, StribeckBelt, TanhFriction, WeakeningFriction
 from nmt_rig.model.local_elements.springs import Cogging, CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
 from nmt_rig.model.propagator import state_space
 from nmt_rig.model.time_integration import IntegrationError, TimeIntegrator
@@ -104,6 +104,7 @@ AGAINST_SOLVE_IVP = [
     one(PolynomialDamper, -3.0, 4e7, 1e13),
     one(StribeckBelt, 1.0, 3.0, 0.3, 0.2),
     one(TanhFriction, 0.5, 0.05),
+    one(WeakeningFriction, 0.5, 0.05, 0.1),
     one(UnilateralStop, 50_000.0, 2e-4),
     one(TwoSidedGap, 50_000.0, 2e-4),
     one(LinearSpring, 9000.0),

@@ -23,7 +23,7 @@ from nmt_rig.model.local_elements.dampers import (
     QuadraticDrag,
 )
 from nmt_rig.model.local_elements.element import LocalElement
-from nmt_rig.model.local_elements.friction import AnyFriction, Jenkins, StribeckBelt, TanhFriction
+from nmt_rig.model.local_elements.friction import AnyFriction, Jenkins, StribeckBelt, TanhFriction, WeakeningFriction
 from nmt_rig.model.local_elements.springs import (
     AnySpring,
     CubicSpring,
@@ -171,7 +171,7 @@ DIFFERENTIATED: dict[str, list[LocalElement]] = {
     "stops": [UnilateralStop(D, 4.0, 0.3), TwoSidedGap(D, 2.0, 0.1)],
     "springs": [LinearSpring(D, 1.0), CubicSpring(D, 2.0), QuinticSpring(D, 1.0), QuadraticSpring(D, 0.5)],
     "drag": [QuadraticDrag(D, 1.5), LinearDamper(D, 0.3)],
-    "tanh": [TanhFriction(D, 1.0, 0.5)],
+    "tanh": [TanhFriction(D, 1.0, 0.5), WeakeningFriction(D, 0.6, 0.5, 0.8)],
     "dampers": [AmplitudeDamper(D, 1.5), PowerLawDamper(D, 0.7, 2.6)],
     "brake": [EddyBrake(D, 1.5, 0.7)],
     "self-excited": [PolynomialDamper(D, -0.5, 1.5, 0.3), StribeckBelt(D, 0.4, 1.0, 4.0, 1.5)],
@@ -229,6 +229,7 @@ def sampling_error(local: LocalForces, displacement: np.ndarray) -> float:
         (AmplitudeDamper(D, 3.0), 1e-13),
         (PowerLawDamper(D, 3.0, 1.5), 1e-6),
         (TanhFriction(D, 3.0, 0.1), 1e-6),
+        (WeakeningFriction(D, 3.0, 0.1, 0.3), 1e-6),
         (PolynomialDamper(D, -1.0, 2.0, 3.0), 1e-13),
         (StribeckBelt(D, 1.0, 3.0, 1.5, 2.0), 1e-6),
     ],

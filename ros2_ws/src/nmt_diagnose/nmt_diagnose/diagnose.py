@@ -18,7 +18,6 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.candidate_starts import at_strength
 from nmt_diagnose.fit.explanations import FittedExplanation, Score
 from nmt_diagnose.fit.fitting import Data
-from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.ledger.credible_answers import credible_answers
 from nmt_diagnose.ledger.diagnosis import (
     DetectableEffect,
@@ -79,6 +78,8 @@ class DiagnosisOutcome:
             gap.
         as_given, refitted, final: observables of the initial model, of the re-fitted one and of ``model``, (m,).
         detectable: computes ``Diagnosis.visible``, where that was put off.
+        other: the model that competed with ``model``: of the law and the explanation what is not written; None where
+            there is none.
     """
 
     diagnosis: Diagnosis
@@ -89,6 +90,7 @@ class DiagnosisOutcome:
     refitted: FloatArray
     final: FloatArray
     detectable: Callable[[], tuple[DetectableEffect, ...]] | None = None
+    other: Rig | None = None
 
     def completed(self) -> DiagnosisOutcome:
         """The outcome with what was put off."""
@@ -265,12 +267,11 @@ def _diagnosed(
         answers=credible_answers(verdict, judgement.adequate, ranking, comparison.by_label),
         ledger=ledger_of(judgement),
     )
-    model = rig if verdict is Verdict.NONE else judgement.best.rig
-    if law is not None and judgement.law_leads:
-        model = with_law(rig, law)
+    model, other = judgement.written
     return DiagnosisOutcome(
         diagnosis, left.observations, rig, model, findings.as_given_errors.values, null.fit.errors.values,
         judgement.best.fit.errors.values, detectable if settings.look_ahead and settings.put_off_detectable else None,
+        other,
     )  # fmt: skip
 
 

@@ -30,7 +30,14 @@ _LETTERS = {"f": "force", "x": "displacement", "v": "velocity", "a": "accelerati
 def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
     """The verdict in a few words, and its class on a page: ``good``, ``partly`` or ``bad``."""
     text, kind = VERDICTS[diagnosis.verdict]
-    if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
+    law = diagnosis.law
+    if law is not None and diagnosis.law_leads:
+        forces = joined(f"{each.family} ({detail_text(each.place)})" for each in law.laws)
+        text = f"a force like {forces}, which no effect of the library explains"
+        if diagnosis.verdict is Verdict.EFFECT:
+            text = f"a force like {forces}, of which no effect of the library explains more than a part"
+            kind = "partly"
+    elif diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
         head = diagnosis.ranking[0]
         if is_partial(diagnosis):
             closed = diagnosis.gap.closed
@@ -42,10 +49,6 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
         if diagnosis.remainder is not None:
             share = 100.0 * diagnosis.remainder.share
             text += f", which explains {max(0.0, 100.0 - share):.0f} % of the gap and leaves {share:.0f} %"
-    law = diagnosis.law
-    if diagnosis.verdict is Verdict.UNKNOWN and law is not None and law.is_written:
-        forces = joined(f"{each.family} ({detail_text(each.place)})" for each in law.laws)
-        text = f"a force like {forces}, which no effect of the library explains"
     if diagnosis.warnings:
         count = len(diagnosis.warnings)
         return f"{text}; mind the {'warning' if count == 1 else f'{count} warnings'}", "partly"

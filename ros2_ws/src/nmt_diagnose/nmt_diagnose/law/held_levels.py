@@ -125,10 +125,12 @@ def levels_over_amplitude(
     chain = observations.chains[number] if observations.chains else None
     chosen = [int(k) for k in order[spots]]
     complete = np.flatnonzero(np.isfinite(values[chosen]).all(axis=(0, 2)))
+    with np.errstate(invalid="ignore"):  # amplitudes that are held out have no frequency
+        values, std = (values / scale)[:, complete], (std / np.abs(scale))[:, complete]
     levels = HeldLevels(
         observations.tests[number].name, drive_points, tuple(range(count)), omega,
         np.zeros((1, count, 2), complex), np.zeros((1, count)),
-        tuple(channels[int(k)] for k in complete), (values / scale)[:, complete], (std / np.abs(scale))[:, complete],
+        tuple(channels[int(k)] for k in complete), values, std,
         chain, ratio, np.hypot(log_std, ratio_std),
     )  # fmt: skip
     return levels.take(chosen)

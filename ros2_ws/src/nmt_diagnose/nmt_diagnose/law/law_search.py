@@ -201,6 +201,16 @@ class LawSearch:
                 break
         return best
 
+    def refitted(self, parts: tuple[tuple[LawPlace, Block], ...]) -> Candidate:
+        """The strengths of a law whose places and terms are known, along the motion that it makes.
+
+        Raises:
+            UnboundedMotionError: see :meth:`problem`.
+        """
+        motions = tuple(self.motion(place, []) for place, _ in parts)
+        kept = tuple((place, replace(block, refined=())) for place, block in parts)
+        return self.again(Candidate(kept, self.basis.solve(*self._along(kept, motions)), motions))
+
     def _moved(self, candidate: Candidate, number: int, forces: Forces) -> ComplexArray:
         """Motion of a place under the forces of a law, its mean by a step of Newton's method.
 

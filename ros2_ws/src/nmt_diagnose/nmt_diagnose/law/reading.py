@@ -13,6 +13,7 @@ from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
 from nmt_diagnose.law.held_levels import HeldLevels
+from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError, fewest
 from nmt_diagnose.law.law_words import family
@@ -119,8 +120,8 @@ class LawReading:
         refusals: why the law is not told; empty = it is told.
         of_record: parts of one record stand for levels.
         closed_by_file: share of the gap that the rig file with the laws closes by the prediction that later commands
-            make with it: of a record on the parts of the largest motion, which its strengths then do not know; NaN of
-            held levels.
+            make with it: of a record on the parts of the largest motion, which its strengths then do not know; of
+            held levels on rows that were held out, by strengths that were fitted without them; NaN = not known.
         check: the law of records against a part that it does not know.
         late: channel of the force of records and how much later than the motion it comes, s; None = in step.
     """
@@ -148,9 +149,15 @@ class LawReading:
         """Whether the law goes to the rig file: not where the file predicts no better than without it."""
         return self.is_stated and not self.closed_by_file <= 0.0
 
-    def closes_more_than(self, share: float) -> bool:
-        """Whether levels that were left out, the top two too, are told better than by what closes such a share."""
-        return min(self.closed_inside, self.closed_above) > share
+    def closes_as_much_as(self, share: float, low: float) -> bool:
+        """Whether what was held out is told no worse than by what closes a share of it, of which ``low`` is certain.
+
+        By the file, as what it competes with, where it is within the interval of the share; where that is not known,
+        and of records, by levels that were left out.
+        """
+        if self.of_record or not math.isfinite(self.closed_by_file):
+            return min(self.closed_inside, self.closed_above) > share
+        return self.closed_by_file >= low
 
 
 def read_law(rig: Rig, observations: Observations) -> LawReading | None:
@@ -160,14 +167,9 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
         rig: the model as given.
         observations: the real side.
     """
-    found = [
-        levels for number in range(len(observations.tests))
-        if (levels := observations.tests[number].held_levels(observations, number)) is not None
-        and levels.count >= THRESHOLDS.law.fewest_levels and (levels.harmonics >= 2 or _stands_alone(rig, levels))
-    ]  # fmt: skip
-    if not found:
+    levels = _levels_of(rig, observations)
+    if levels is None:
         return None
-    levels = max(found, key=lambda one: (one.harmonics > 1, one.count, float(np.nanmax(np.abs(one.motion)))))
     frame = ModalFrame.of(rig, levels)
     if frame is None:
         return None
@@ -180,6 +182,50 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
         return LawReading(levels.name, levels.count, (), math.nan, math.nan, math.nan, math.nan, (why,))
     levels = frame.relative(levels)
     return _read(LawSearch(LawRows(frame, levels), rig), levels)
+
+
+def refitted_laws(rig: Rig, observations: Observations, reading: LawReading) -> tuple[LocalLaw, ...] | None:
+    """The laws of a reading with the strengths that fewer levels of its test give; None where those tell none.
+
+    Args:
+        rig: the model as given.
+        observations: what the strengths are fitted to.
+        reading: the places and terms.
+    """
+    levels = _levels_of(rig, observations)
+    frame = None if levels is None or levels.name != reading.test else ModalFrame.of(rig, levels)
+    if levels is None or frame is None:
+        return None
+    search = LawSearch(LawRows(frame, frame.relative(levels)), rig)
+    places = {(place.point, place.other_point): place for place in search.places()}
+    if any((law.point, law.other_point) not in places for law in reading.laws):
+        return None
+    parts = tuple(
+        (places[law.point, law.other_point], Block(law.family, tuple(term.of_unit_strength for term in law.terms)))
+        for law in reading.laws
+    )
+    try:
+        values = search.refitted(parts).fit.coefficients
+    except UnboundedMotionError:
+        return None
+    found, used = [], 0
+    for law in reading.laws:
+        terms = tuple(replace(t, coefficient=float(c)) for t, c in zip(law.terms, values[used:], strict=False))
+        used += len(terms)
+        found.append(replace(law, terms=tuple(term for term in terms if term.coefficient != 0.0)))
+    return tuple(found)
+
+
+def _levels_of(rig: Rig, observations: Observations) -> HeldLevels | None:
+    """The held levels of the test that says most; None where no test has so many."""
+    found = [
+        levels for number in range(len(observations.tests))
+        if (levels := observations.tests[number].held_levels(observations, number)) is not None
+        and levels.count >= THRESHOLDS.law.fewest_levels and (levels.harmonics >= 2 or _stands_alone(rig, levels))
+    ]  # fmt: skip
+    if not found:
+        return None
+    return max(found, key=lambda one: (one.harmonics > 1, one.count, float(np.nanmax(np.abs(one.motion)))))
 
 
 def _stands_alone(rig: Rig, levels: HeldLevels) -> bool:

@@ -34,11 +34,6 @@ _BESIDE = (
         "stop damping", "stop", "damper where {beyond}", words="stop on one side", unit="N s/m",
         force=lambda x, v, gap, side: np.where(np.sign(side) * x > gap, v, 0.0), unwritten="damping in contact",
     ),
-    LawForm(
-        "weakening friction", "friction", "tanh(v / {size} m/s) exp(−(v / {last} m/s)²)", unit="N",
-        force=lambda x, v, speed, fall: np.tanh(v / speed) * np.exp(-((v / fall) ** 2)),
-        words="dry friction that weakens with speed", unwritten="the part of the friction that weakens with speed",
-    ),
 )  # fmt: skip
 # A linear force is an error of the modes at held levels; along a record it is told apart.
 OF_RECORDS: tuple[tuple[LawForm, type[ElementSection]], ...] = (

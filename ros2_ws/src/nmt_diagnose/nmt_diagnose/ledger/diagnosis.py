@@ -316,6 +316,13 @@ class Diagnosis:
     answers: tuple[Answer, ...] = ()
     ledger: Ledger = field(default_factory=Ledger)
 
+    @property
+    def law_leads(self) -> bool:
+        """Whether the law is the answer and is written: at most a part is stated, which closes no more."""
+        if self.law is None or not self.law.is_written:
+            return False
+        return self.verdict is Verdict.UNKNOWN or self.law.closes_as_much_as(self.gap.closed, self.gap.low)
+
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""
         result: dict[str, Any] = {"format": FORMAT, **_plain(asdict(self))}

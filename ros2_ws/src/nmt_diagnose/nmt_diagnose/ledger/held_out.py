@@ -6,7 +6,7 @@ Held out are interleaved levels, the highest two levels, and whole tests.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import PurePath
 
@@ -199,6 +199,26 @@ class HeldOut:
             if rms(uncertain[rows]) <= THRESHOLDS.verdict.open_prediction_share * rms(change[rows]):
                 silent = no_worse_than_silence(data.observations, before.residual, data.sigma)
                 pairs.append((silent * scale, after.residual * scale / np.hypot(1.0, uncertain), rows))
+        return closed(data.observations, pairs, self._seed)
+
+    def closed_by(self, values_after: Callable[[Split], FloatArray | None], scale: FloatArray) -> ClosedShare:
+        """How much of the gap that the model alone leaves other values close on rows held out.
+
+        Args:
+            values_after: values of a model, (m,), by what is known without the rows that a split holds out; None = it
+                says nothing of that split.
+            scale: noise of all rows, (m,).
+        """
+        data, pairs = self.everything, []
+        for split in self.splits:
+            rows, before = split.held_out & data.used, self.refitted(self.null, split)
+            if before is None or not rows.any() or rms(before.std[rows]) > rms(before.residual[rows]):
+                continue
+            values = values_after(split)
+            if values is None:
+                continue
+            silent = no_worse_than_silence(data.observations, before.residual, data.sigma)
+            pairs.append((silent * scale, self.residual(values) * scale, rows & np.isfinite(values)))
         return closed(data.observations, pairs, self._seed)
 
     def recalibrated(self) -> ClosedShare:

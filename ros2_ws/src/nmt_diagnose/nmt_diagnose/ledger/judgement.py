@@ -6,20 +6,27 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from nmt_core.errors import BenchError
+from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.fit.explanations import FittedExplanation
-from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.law.law_elements import with_law, with_laws
+from nmt_diagnose.law.reading import LawReading, refitted_laws
 from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, by_plain_effect
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.ledger.gap import ClosedShare
-from nmt_diagnose.ledger.held_out import HeldOut
+from nmt_diagnose.ledger.held_out import HeldOut, Split
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import verdict_of
 from nmt_diagnose.ledger.size import change_size, over
+from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.search.findings import Findings
+from nmt_diagnose.search.law_starts import effects_of_law
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
@@ -83,15 +90,38 @@ class Judgement:
 
     @property
     def law_leads(self) -> bool:
-        """Whether the law is the answer and is written: nothing is stated, or what is stated closes less than it."""
-        law = self.law
+        """Whether the law is the answer and is written: nothing is stated, or no more than a part that closes no more.
+
+        The law goes to the model as given; what is stated moves that.
+        """
+        law, share = self.law, self.nearest_share
         if law is None or not law.is_written:
             return False
-        return (
-            self.nearest is None
-            or not self.partial
-            or law.closes_more_than(self.shares[self.nearest.head.explanation].value)
-        )
+        return share is None or not self.partial or law.closes_as_much_as(share.value, share.low)
+
+    @property
+    def nearest_share(self) -> ClosedShare | None:
+        """What it closes of the gap on data held out."""
+        return None if self.nearest is None else self.shares[self.nearest.head.explanation]
+
+    @property
+    def written(self) -> tuple[Rig, Rig | None]:
+        """The model for the rig file, and the one that competed with it; None where none did.
+
+        Where the law leads and is what comes nearest, too, it gets the strengths that close more.
+        """
+        rig, law = self.findings.search.rig, self.law
+        model = rig if self.verdict is Verdict.NONE else self.best.rig
+        if law is None or not law.is_written:
+            return model, None
+        by_law, share = with_law(rig, law), self.nearest_share
+        if not self.law_leads:
+            return model, by_law
+        named = {(cause.effect, cause.location.detail) for cause in self.reported.explanation.causes}
+        alike = {(name, each.place) for each in law.laws for name, _ in effects_of_law(each)}
+        if share is not None and named == alike and share.value > law.closed_by_file:
+            return self.reported.rig, by_law
+        return by_law, self.reported.rig
 
 
 def judged(findings: Findings, held_out: HeldOut, settings: DiagnosisSettings) -> Judgement:
@@ -110,7 +140,53 @@ def judged(findings: Findings, held_out: HeldOut, settings: DiagnosisSettings) -
     alone = _alone(findings, settings)
     rival = max(comparison.unknown, comparison.none)
     verdict = verdict_of(alone, None if leader is None else leader.facts(share, rival))
+    law = findings.law
+    if verdict.gap and law is not None and law.is_stated and not law.of_record:
+        scale = (findings.null if leader is None else leader.head).scale()
+        by_law = _law_held_out(findings, held_out, scale)
+        if by_law is not None:
+            law = replace(law, closed_by_file=by_law.value)
+            findings = replace(findings, law=law)
+            if verdict is Verdict.EFFECT and leader is not None and share is not None:
+                verdict = _beside_law(law, by_law, leader, share)
     return Judgement(findings, comparison, shares, alone, verdict)
+
+
+def _beside_law(law: LawReading, by_law: ClosedShare, leader: EquivalentClass, share: ClosedShare) -> Verdict:
+    """The verdict on what would explain the whole: nothing in the library does where a law closes certainly more.
+
+    A law that is that effect and nothing else says the same.
+    """
+    named = {(cause.effect, cause.location.detail) for cause in leader.head.explanation.causes}
+    same = [{(name, each.place) for name, _ in effects_of_law(each)} for each in law.laws if len(each.at_middle) == 1]
+    if len(law.laws) == len(same) == 1 and named <= same[0]:
+        return Verdict.EFFECT
+    return Verdict.UNKNOWN if leader.adequate and by_law.low > share.high else Verdict.EFFECT
+
+
+def _law_held_out(findings: Findings, held_out: HeldOut, scale: FloatArray) -> ClosedShare | None:
+    """How much of the gap the rig file with the law closes on rows that the law was not read from.
+
+    Its strengths are fitted anew to the rows of each split, and it goes to the model as given. None where no split
+    tells it, or where the file has an element whose motion is only known step by step.
+
+    Args:
+        findings: with the law.
+        held_out: the splits.
+        scale: noise of all rows, as for the explanations that it competes with.
+    """
+    rig, observations, reading = findings.search.rig, held_out.everything.observations, findings.law
+    forward = Forward(observations.tests, observations.rows)
+
+    def values_after(split: Split) -> FloatArray | None:
+        part = observations.take(held_out.fitted.used & split.fitted)
+        laws = None if reading is None else refitted_laws(rig, part, reading)
+        return None if laws is None else np.asarray(forward.predict(with_laws(rig, laws)).values)
+
+    try:
+        return held_out.closed_by(values_after, scale)
+    except BenchError:
+        return None
 
 
 def _alone(findings: Findings, settings: DiagnosisSettings) -> Facts:

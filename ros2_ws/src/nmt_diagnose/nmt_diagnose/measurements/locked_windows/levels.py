@@ -48,7 +48,8 @@ def levels_of_windows(test: LockedWindows, observations: Observations, number: i
     orders = np.maximum(np.arange(test.harmonics + 1), 1)
     powers = np.array([MOTIONS[test.channels[k].quantity] for k in moved])
     scale = (1j * omega[:, None, None] * orders) ** powers[None, :, None]
-    motion, motion_std = values[:, moved] / scale, std[:, moved] / np.abs(scale)
+    with np.errstate(invalid="ignore"):  # levels that are held out have no frequency
+        motion, motion_std = values[:, moved] / scale, std[:, moved] / np.abs(scale)
     size = np.nanmax(np.abs(motion[:, :, 1]), axis=1, initial=0.0)
     usable = np.isfinite(omega) & (np.abs(force[:, :, 1]).max(axis=0) > 0.0) & (size > 0.0)
     order = [int(k) for k in np.argsort(size, kind="stable") if usable[k]]

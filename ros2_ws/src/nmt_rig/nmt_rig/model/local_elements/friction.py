@@ -138,6 +138,51 @@ class TanhFrictionSection(ElementSection):
 
 
 @dataclass(frozen=True)
+class WeakeningFriction(LocalElement):
+    """g = μN tanh(v / v0) exp(−(v / vs)²), what dry friction has at low speed beyond that at high speed.
+
+    slip_force in N, velocities in m/s. It takes power at every speed.
+    """
+
+    slip_force: float
+    reference_velocity: float
+    decay_velocity: float
+    samples: ClassVar[tuple[int, int]] = (2048, 1024)  # no kink, but steep
+    must_be_positive: ClassVar[tuple[str, ...]] = ("slip_force", "reference_velocity", "decay_velocity")
+
+    @staticmethod
+    def response(slip: float, reference: float, decay: float, w: float, v: float) -> Response:
+        """g and its tangents."""
+        t = np.tanh(v / reference)
+        bump = slip * np.exp(-((v / decay) ** 2))
+        return bump * t, 0.0, bump * ((1.0 - t * t) / reference - 2.0 * v * t / decay**2)
+
+
+class WeakeningFrictionSection(ElementSection):
+    """g = μN tanh(v / v₀) e^(−(v/v_s)²): beside `tanh_friction`, dry friction that weakens with speed.
+
+    Attributes:
+        slip_force_n: μN, by which the force falls
+        reference_velocity_m_s: v₀
+        decay_velocity_m_s: v_s, over which it falls
+    """
+
+    kind: Literal["weakening_friction"]
+    slip_force_n: Positive
+    reference_velocity_m_s: Positive
+    decay_velocity_m_s: Positive
+    element: ClassVar = WeakeningFriction
+    friction: ClassVar = True
+    without_effect: ClassVar = "a law of held levels and of records: it says over which speed the force falls"
+    law: ClassVar = (
+        LawForm(
+            "weakening friction", "friction", "tanh(v / {size} m/s) exp(−(v / {last} m/s)²)",
+            lambda c, v, fall: (c, v, fall), "dry friction that weakens with speed", by_speed=True,
+        ),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
 class StribeckBelt(LocalElement):
     """Friction on a belt that runs with v_b: g = f(v - v_b) - f(-v_b), forces in N, velocities in m/s.
 
@@ -195,4 +240,4 @@ class StribeckBeltSection(ElementSection):
     without_law: ClassVar = "it feeds the motion: no strength that is not negative makes it"
 
 
-AnyFriction = JenkinsSection | TanhFrictionSection | StribeckBeltSection
+AnyFriction = JenkinsSection | TanhFrictionSection | WeakeningFrictionSection | StribeckBeltSection

@@ -1,0 +1,94 @@
+"""Law and effects compete on data held out: what the answer begins with and what the rig file gets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from diagnose.simulated_levels import FORCES, chain_of_masses, held
+from diagnose.test_law import reading
+from independent.headline_campaign import CASES, model_of, structure_of, write_levels
+from independent.modal_simulator import Element
+
+from nmt_bench.data_import import import_data
+from nmt_diagnose.diagnose import diagnose_bags, diagnose_observations
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.effects.library import library
+from nmt_diagnose.law.reading import refitted_laws
+from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_report.diagnosis_words import verdict_text
+
+CUBIC = (3, "cubic", (4.0e8,), ())
+WEAKENING = (4, "stribeck", (0.004, 4e-3, 1.0, 0.1), ())
+COMPETING = ("second_friction_contact", "cubic_stiffness", "viscous_damping")
+WITHHELD = tuple(effect.name for effect in library() if effect.name not in COMPETING)
+
+
+@pytest.mark.parametrize("kept", [range(0, len(FORCES), 2), range(len(FORCES) - 2)])
+def test_strengths_of_a_law_are_fitted_to_fewer_levels(kept: range) -> None:
+    found = reading(CUBIC)
+    observations = held((CUBIC,))
+    part = observations.take(np.isin(observations.rows.level, list(kept)))
+    laws = refitted_laws(chain_of_masses(), part, found)
+    assert laws is not None
+    (law,) = laws
+    assert [(term.kind, term.parameters) for term in law.terms] == [("power", (3.0,))]
+    assert law.terms[0].coefficient == pytest.approx(4.0e8, rel=0.02)
+    assert law.terms[0].coefficient != found.laws[0].terms[0].coefficient
+
+
+def test_of_too_few_levels_or_another_test_no_strengths_are_told() -> None:
+    found, observations = reading(CUBIC), held((CUBIC,))
+    few = observations.take(observations.rows.level < 3)
+    assert refitted_laws(chain_of_masses(), few, found) is None
+    assert refitted_laws(chain_of_masses(), observations, replace(found, test="another")) is None
+
+
+@pytest.mark.parametrize(
+    ("by_file", "of_record", "expected"),
+    [(0.91, False, True), (0.89, False, False), (math.nan, False, True), (0.89, True, True)],
+)
+def test_a_law_closes_as_much_as_what_is_certain(by_file: float, of_record: bool, expected: bool) -> None:
+    """By its file where that is known; else by levels that were left out, which close more than 0.95."""
+    found = replace(reading(CUBIC), closed_by_file=by_file, of_record=of_record, closed_above=0.96)
+    assert found.closes_as_much_as(0.95, 0.9) is expected
+
+
+@pytest.mark.court(said="law")
+def test_the_answer_begins_with_a_law_that_closes_more_and_the_file_gets_it() -> None:
+    rig, observations = chain_of_masses(), held((WEAKENING,))
+    found = diagnose_observations(rig, observations, DiagnosisSettings(look_ahead=False, withheld=WITHHELD))
+    diagnosis = found.diagnosis
+    assert diagnosis.verdict.gap
+    assert diagnosis.law is not None
+    assert diagnosis.law_leads
+    assert diagnosis.law.closed_by_file > 0.95
+    assert "friction that weakens with speed at point 4" in diagnosis.sentences[0]
+    assert verdict_text(diagnosis)[0].startswith("a force like dry friction that weakens with speed (point 4)")
+    kinds = sorted(element.kind for element in found.model.local_elements)
+    assert kinds == ["tanh_friction", "weakening_friction"]
+    assert found.other is not None
+    assert found.other != found.model
+
+
+@pytest.mark.court(not_said="law")
+def test_a_law_that_says_the_same_as_the_effect_does_not_lead(tmp_path: Path) -> None:
+    """Phase resonance of a row of masses with a cubic spring."""
+    structure = structure_of(CASES["magnet"])
+    elements = [Element("cubic", structure.shapes[2], (2.0e9,))]
+    write_levels(tmp_path, structure, elements, np.geomspace(0.1, 1.0, 5), np.random.default_rng(1))
+    (tmp_path / "model.yaml").write_text(yaml.safe_dump(model_of(structure)), encoding="utf-8")
+    import_data(tmp_path / "sidecar.yaml", tmp_path / "bag")
+    settings = DiagnosisSettings(look_ahead=False, withheld=WITHHELD)
+    outcome = diagnose_bags(tmp_path / "model.yaml", [tmp_path / "bag"], settings=settings)
+    found = outcome.diagnosis
+    assert found.verdict is Verdict.EFFECT
+    assert found.adequate
+    assert not found.law_leads
+    assert (found.ranking[0].effect, found.ranking[0].detail) == ("cubic_stiffness", "3")
+    (element,) = outcome.model.local_elements
+    assert element.stiffness_n_m3 == pytest.approx(2.0e9, rel=0.02)

@@ -19,7 +19,8 @@ from nmt_diagnose.diagnose import diagnose_bags, diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.law.reading import refitted_laws
-from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_diagnose.ledger.diagnosis import PlaceShare, Verdict
+from nmt_diagnose.say.law_sentences import led_by_law
 from nmt_report.diagnosis_words import verdict_text
 
 CUBIC = (3, "cubic", (4.0e8,), ())
@@ -41,11 +42,10 @@ def test_strengths_of_a_law_are_fitted_to_fewer_levels(kept: range) -> None:
     assert law.terms[0].coefficient != found.laws[0].terms[0].coefficient
 
 
-def test_of_too_few_levels_or_another_test_no_strengths_are_told() -> None:
+def test_of_too_few_levels_no_strengths_are_told() -> None:
     found, observations = reading(CUBIC), held((CUBIC,))
     few = observations.take(observations.rows.level < 3)
     assert refitted_laws(chain_of_masses(), few, found) is None
-    assert refitted_laws(chain_of_masses(), observations, replace(found, test="another")) is None
 
 
 @pytest.mark.parametrize(
@@ -56,6 +56,14 @@ def test_a_law_closes_as_much_as_what_is_certain(by_file: float, of_record: bool
     """By its file where that is known; else by levels that were left out, which close more than 0.95."""
     found = replace(reading(CUBIC), closed_by_file=by_file, of_record=of_record, closed_above=0.96)
     assert found.closes_as_much_as(0.95, 0.9) is expected
+
+
+@pytest.mark.parametrize(("detail", "kept"), [("3", True), ("2 + 3", True), ("2-3", False), ("a3", False)])
+def test_a_law_that_leads_is_not_followed_by_another_place(detail: str, kept: bool) -> None:
+    where = (PlaceShare("structure", detail, 1.0, 1.0),)
+    text = led_by_law(("Law.", "File."), ("Place.", "Nearest."), reading(CUBIC), where)
+    assert text == ("Law. Place." if kept else "Law.", "Nearest.", "File.")
+    assert led_by_law(("Law.",), ("Nearest.",), reading(CUBIC), ()) == ("Law. Nearest.",)
 
 
 @pytest.mark.court(said="law")

@@ -41,7 +41,7 @@ from nmt_diagnose.ledger.warnings import frequencies_alone, warned, without_obse
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
-from nmt_diagnose.say.law_sentences import law_sentences
+from nmt_diagnose.say.law_sentences import law_sentences, led_by_law
 from nmt_diagnose.say.remainder import remainder
 from nmt_diagnose.say.residual_map import per_observable, residual_map
 from nmt_diagnose.say.residual_tests import residual_tests
@@ -416,7 +416,10 @@ def _sentences(
     if judgement.named is not None:
         text = (*text, *_relieving(findings.data, judgement.best))
     from_law = law_sentences(judgement.law, judgement.law_leads)
-    text = (f"{from_law[0]} {text[0]}", *text[1:], *from_law[1:]) if judgement.law_leads else (*text, *from_law)
+    if judgement.law is not None and judgement.law_leads:
+        text = led_by_law(from_law, text, judgement.law, answer.where)
+    else:
+        text = (*text, *from_law)
     if verdict is Verdict.UNKNOWN and not GAP(judgement.alone).passed:
         share_of_signal, whose = findings.unexplained
         contradicts = f"The model leaves {percent(share_of_signal)} of {whose}, which is no noise."

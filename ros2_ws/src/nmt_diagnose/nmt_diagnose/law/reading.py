@@ -185,7 +185,7 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
 
 
 def refitted_laws(rig: Rig, observations: Observations, reading: LawReading) -> tuple[LocalLaw, ...] | None:
-    """The laws of a reading with the strengths that fewer levels of its test give; None where those tell none.
+    """The laws of a reading with the strengths that other levels give; None where those tell none.
 
     Args:
         rig: the model as given.
@@ -193,7 +193,7 @@ def refitted_laws(rig: Rig, observations: Observations, reading: LawReading) -> 
         reading: the places and terms.
     """
     levels = _levels_of(rig, observations)
-    frame = None if levels is None or levels.name != reading.test else ModalFrame.of(rig, levels)
+    frame = None if levels is None else ModalFrame.of(rig, levels)
     if levels is None or frame is None:
         return None
     search = LawSearch(LawRows(frame, frame.relative(levels)), rig)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from nmt_core.text.number_words import percent, significant
 from nmt_diagnose.law.law_elements import not_written
 from nmt_diagnose.law.reading import LawReading, LocalLaw
+from nmt_diagnose.ledger.diagnosis import PlaceShare
 
 
 def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
@@ -61,6 +63,22 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
             "of what was visited."
         )
     return tuple(result)
+
+
+def led_by_law(
+    from_law: Sequence[str], text: Sequence[str], law: LawReading, where: Sequence[PlaceShare]
+) -> tuple[str, ...]:
+    """Sentences of a law before those of what comes nearest, which say nothing of another place.
+
+    Args:
+        from_law: sentences of the law.
+        text: the others; the first is of the places where there are any.
+        law: the law.
+        where: places that the others tell.
+    """
+    elsewhere = bool(where) and not {one.place for one in law.laws} & set(where[0].detail.split(" + "))
+    first = from_law[0] if elsewhere else f"{from_law[0]} {text[0]}"
+    return (first, *text[1:], *from_law[1:])
 
 
 def _following(law: LocalLaw) -> list[str]:

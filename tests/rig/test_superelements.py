@@ -22,6 +22,7 @@ from nmt_rig.named_rows import Units
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
 from nmt_rig.rig_snapshot import rig_text
+from nmt_rig.superelement_texts import quantity_of
 
 BEAM = load_rig("beam")
 
@@ -179,6 +180,15 @@ def test_a_superelement_that_nastran_wrote_is_read_by_its_text_beside_it():
     assert figures.frequencies_hz[6] > 1.0
     with pytest.raises(BenchError, match=r"outboard\.op4 beside it may have them"):
         model_figures({"file": folder / "outboard.pch"}, "m-kg-N")
+
+
+def test_a_single_matrix_is_named_by_its_last_word_and_sent_to_the_others(tmp_path):
+    names = {"plate_K.mtx": "stiffness", "M.npz": "mass", "two-c.mtx": "damping", "job_STIF1.mtx": "stiffness"}
+    assert {name: quantity_of(Path(name)) for name in names} == names
+    assert quantity_of(Path("sink.mtx")) is None
+    sparse.save_npz(tmp_path / "plate_K.npz", sparse.eye(3, format="csr"))
+    with pytest.raises(BenchError, match=r"it is a single matrix; .* --check K\.npz --check M\.npz"):
+        model_figures({"file": tmp_path / "plate_K.npz"}, "m-kg-N")
 
 
 def test_held_and_empty_rows_are_left_out(tmp_path):

@@ -140,7 +140,7 @@ def _named_arrays(path: Path) -> ModelPart:
     else:
         raise BadFileError(
             "structure.file must be .npz or .mat, .pch, .bdf, .op4, .op2, .mtx, .sti, .full; single matrices go into "
-            "mass_file and stiffness_file"
+            "mass_file and stiffness_file, or --check K.mtx --check M.mtx"
         )
     found: dict[str, Any] = {}
     for quantity, names in _NAMES.items():
@@ -150,6 +150,11 @@ def _named_arrays(path: Path) -> ModelPart:
                 vector = quantity.startswith("base_")
                 found[quantity] = _vector(value) if vector else value
                 break
+    if not found and set(_SPARSE) <= set(content):
+        raise BadFileError(
+            "it is a single matrix; name it and the others as mass_file and stiffness_file, or --check K.npz --check "
+            "M.npz"
+        )
     if not found:
         raise BadFileError(f"it has none of M, K, C; it has {', '.join(sorted(content)) or 'nothing'}")
     return ModelPart(found, _row_labels(content), nodes=_node_table(content))

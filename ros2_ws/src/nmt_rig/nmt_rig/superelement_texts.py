@@ -87,12 +87,12 @@ def sister(path: Path, quantity: str, wanted: str) -> Path | None:
 
 
 def quantity_of(path: Path) -> str | None:
-    """Which matrix a file holds, by the name that Abaqus or CalculiX gave it."""
+    """Which matrix a file holds, by the name that Abaqus or CalculiX gave it, or by its last word, as plate_K.mtx."""
     upper = path.name.upper()
     for quantity, (mark, ending) in _PAIRS.items():
         if mark in upper or upper.endswith(ending.upper()):
             return quantity
-    return _LETTERS.get(path.stem.upper())
+    return _LETTERS.get(re.split(r"[^A-Z]", path.stem.upper())[-1])
 
 
 def read_abaqus(path: Path, quantity: str | None) -> ModelPart:

@@ -18,7 +18,7 @@ class ModeThresholds:
     )  # fmt: skip
     missing_share: float = threshold(
         0.1, "1",
-        "The same of a resonance that the model lacks: a small mass on a spring turns the response by less than half.",
+        "The same in two channels of a resonance that the model lacks: a small mass on a spring turns it by less.",
         "tests/diagnose/test_missing_mode.py::test_a_small_mass_on_a_spring_is_a_resonance",
     )  # fmt: skip
     unlike_mac: float = threshold(

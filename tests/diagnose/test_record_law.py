@@ -114,10 +114,10 @@ def late(force: FloatArray, seconds: float) -> FloatArray:
     return np.asarray(CubicSpline(TIME, force)(TIME - seconds))
 
 
-# Seconds by which the force comes late, a half and more than one sample among them.
+# Seconds by which the force comes late, halves of a sample among them.
 LATE = {
     "dry friction": -0.015, "friction of a slider behind a spring": 0.025, "hardening spring": 0.015,
-    "damping that grows with speed": 0.0075, "clearance": 0.04,
+    "damping that grows with speed": 0.0125, "clearance": 0.04,
 }  # fmt: skip
 
 

@@ -60,8 +60,9 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
         late = min(late, _reading(rig, apart)[0], key=lambda reading: reading.after)
     if late.before < THRESHOLDS.law.least_null_score:
         return replace(in_step, refusals=("with the force in step with the motion nothing is left",), late=late.late)
-    better = late.is_stated and (not in_step.is_stated or late.after <= ratio * in_step.after)
-    return late if better else in_step
+    # A delay is a fault, and hysteresis that no term has looks like one: it has to be the larger part of what is left.
+    clear = late.is_stated and late.after <= THRESHOLDS.law.clear_score_ratio * in_step.after
+    return late if clear else in_step
 
 
 def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:

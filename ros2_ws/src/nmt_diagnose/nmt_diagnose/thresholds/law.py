@@ -102,7 +102,9 @@ class LawThresholds:
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     clear_score_ratio: float = threshold(
-        0.5, "1", "Score with a second law over that of a first that closes nearly all from which on it is told.",
+        0.5, "1",
+        "Score with a second law over that of a first that closes nearly all from which on it is told; of a record "
+        "also that of the law beside a late force over that of the law in step.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     start_score_ratio: float = threshold(

@@ -51,7 +51,7 @@ def test_the_band_that_is_stated_holds_the_frequencies_to_a_thousandth(model):
 
 @pytest.mark.parametrize("elements", [(8, 6), (16, 12), (24, 18)], ids=str)
 def test_up_to_the_stated_frequency_a_reduction_is_the_full_plate(elements):
-    """Frequencies to 0.1 %, whatever the mesh; responses as far as a resonance of η = 2 % tells such a shift."""
+    """Frequencies and responses to 0.1 %, whatever the mesh, through resonances of η = 2 %."""
     stiffness, mass, at = plates.specimen_matrices(replace(PLATE, kind=plates.HEALTHY), elements)
     small = craig_bampton(Matrices(mass, stiffness).checked(), at.tolist(), 24)
     exact = np.sqrt(eigsh(stiffness, 12, M=mass, sigma=0.0, v0=np.ones(mass.shape[0]), return_eigenvectors=False))
@@ -65,7 +65,7 @@ def test_up_to_the_stated_frequency_a_reduction_is_the_full_plate(elements):
     for omega in 2.0 * np.pi * np.linspace(5.0, small.band_hz, 25):
         full_response = splu((stiffness * loss - omega**2 * mass).tocsc()).solve(force.astype(complex))[at]
         response = np.linalg.solve(small.stiffness * loss - omega**2 * small.mass, np.eye(small.size)[:, 0])[: at.size]
-        assert np.max(np.abs(response - full_response)) < 2.0 * TRUNCATION / 0.02 * np.max(np.abs(full_response))
+        assert np.max(np.abs(response - full_response)) < TRUNCATION * np.max(np.abs(full_response))
 
 
 CHANGES = {

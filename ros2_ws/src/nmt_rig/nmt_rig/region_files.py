@@ -190,7 +190,7 @@ def _own_matrices(model: NamedModel, path: Path, units: Units, rotations: Sequen
 
 
 def reduced_with_regions(
-    matrices: Matrices, kept: Sequence[int], modes: int, regions: Mapping[str, Region]
+    matrices: Matrices, kept: Sequence[int], modes: int, regions: Mapping[str, Region], most: int
 ) -> tuple[Matrices, dict[str, Any]]:
     """The reduced structure, ideal supports behind its points, and the regions in its coordinates.
 
@@ -199,6 +199,7 @@ def reduced_with_regions(
         kept: rows of the points.
         modes: to keep beside them.
         regions: on these rows.
+        most: coordinates beside those of supports, up to which what the modes left out answer is kept, too.
 
     Returns:
         Matrices, and regions by name as the rig has them.
@@ -224,7 +225,7 @@ def reduced_with_regions(
         for key, matrix in (("stiffness_n_m", region.stiffness), ("mass_kg", region.mass))
         if matrix is not None
     }
-    small = craig_bampton(matrices, coordinates, modes, list(parts.values()), len(coordinates) - len(kept))
+    small = craig_bampton(matrices, coordinates, modes, list(parts.values()), len(coordinates) - len(kept), most)
     assert small.basis is not None
     for (name, key), part in parts.items():
         regions[name].written[key] = packed(projection(part.matrix, small.basis))

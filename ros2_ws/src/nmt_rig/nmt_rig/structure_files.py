@@ -31,7 +31,7 @@ _LARGEST_CONDENSED = 2000
 # The reduction of smaller files takes less time than a node's start.
 _SMALL_FILE = 2**18
 # Changes where the reduction gives other numbers for the same files.
-_REDUCTION = "5"
+_REDUCTION = "6"
 _FILE_KEYS = ("file", "mass_file", "stiffness_file", "damping_file", "rows_file", "nodes_file")
 _DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _MATRIX_KEYS = ("mass_kg", "stiffness_n_m", "damping_ns_m")
@@ -272,10 +272,10 @@ def _reduced(
             raise ValueError(f"structure.modes must be a whole number, got {modes!r}")
         if sections := structure.get("regions"):
             regions = read_regions(model, sections, folder, system, rotations + turned)
-            matrices, written = reduced_with_regions(matrices, kept, modes, regions)
+            matrices, written = reduced_with_regions(matrices, kept, modes, regions, LARGEST)
             notes += _region_notes(written)
         else:
-            matrices = craig_bampton(matrices, kept, modes)
+            matrices = craig_bampton(matrices, kept, modes, most=LARGEST)
         rows = list(range(len(kept)))
         if written and (moving := matrices.size - _held_rows(written)) > LARGEST:
             raise ValueError(

@@ -34,9 +34,10 @@ DRIVE = {
 LINES = np.array([34.0, 45.0, 50.5, 56.0, 70.0, 79.5, 85.0])
 
 
-def rig(mass: np.ndarray = MASS, **more: Any) -> Rig:
+def rig(mass: np.ndarray = MASS, source: str = "model.op4 (SHA-256 0)", **more: Any) -> Rig:
     structure = {
-        "kind": "matrices", "points_at": [{"point": k + 1, "row": k} for k in range(3)], "mass_kg": mass.tolist(),
+        "kind": "matrices", "source": source, "points_at": [{"point": k + 1, "row": k} for k in range(3)],
+        "mass_kg": mass.tolist(),
         "stiffness_n_m": STIFFNESS.tolist(), **({"damping_ns_m": DAMPING.tolist()} | more),
     }  # fmt: skip
     return validate_rig(RigDocument("test", {"name": "three_masses", "structure": structure, **DRIVE}, {}))
@@ -124,6 +125,12 @@ def test_structures_that_are_no_matrices_have_none():
     masses = {"kind": "chain", "masses_kg": [1.0, 1.0, 1.0], "springs_n_m": [1e5, 1e5]}
     tests_of.rig = validate_rig(RigDocument("test", {"name": "row", "structure": masses, **DRIVE}, {}))
     assert CoupledModes(tests_of).columns(tests_of.forward.predict(rig())) == []
+
+
+def test_matrices_of_the_rig_file_itself_have_none():
+    """A lumped model, of which no mesh and no reduction left out anything."""
+    tests_of = chain(rig(source=""), responses(STIFFNESS, DAMPING))
+    assert CoupledModes(tests_of).columns(tests_of.forward.predict(rig(source=""))) == []
 
 
 def test_couplings_are_added_to_lines_and_do_not_multiply_them():

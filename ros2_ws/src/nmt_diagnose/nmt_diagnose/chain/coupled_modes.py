@@ -52,7 +52,8 @@ class CoupledModes:
             base: prediction of the chain's tests.
         """
         rig, section = self.chain.rig, self.chain.rig.structure
-        if not isinstance(section, MatricesSection):
+        # Matrices that stand in the rig file itself are a lumped model: no mesh and no reduction made them.
+        if not isinstance(section, MatricesSection) or not section.source:
             return []
         bare = rig.model_copy(update={"structure": section.model_copy(update={"oscillators": []})})
         structure = build_plain_structure(rig)

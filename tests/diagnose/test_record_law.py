@@ -12,17 +12,21 @@ import pytest
 from diagnose.one_of_each_kind import KINDS, rig_of_kinds
 from diagnose.test_imposed_motion import DRIVE, RATE, bag_of, jenkins, record, rig_of, sines
 from scipy.interpolate import CubicSpline
+from scipy.signal import lfilter
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.law.record_check import autocorrelation
-from nmt_diagnose.law.record_law import read_record_law
+from nmt_diagnose.law.record_law import parting_motion, read_record_law
+from nmt_diagnose.law.record_search import RecordSearch
+from nmt_diagnose.law.terms import Term
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.say.law_sentences import law_sentences
@@ -154,6 +158,14 @@ def test_a_force_in_step_is_not_told_as_late(tmp_path: Path, words: str) -> None
     assert reading_of(tmp_path, LAWS[words][0]).late is None
 
 
+@pytest.mark.parametrize(("stiffness", "relaxation"), [(30.0, 0.02), (60.0, 0.15)])
+def test_hysteresis_that_no_law_has_is_not_told_as_a_delay(tmp_path: Path, stiffness: float, relaxation: float) -> None:
+    """A spring behind a damper (Maxwell): its force runs ahead of the displacement at every frequency."""
+    left = np.exp(-1.0 / RATE / relaxation)
+    way = relaxation * (1.0 - left) * 0.5 * (V[1:] + V[:-1])
+    assert reading_of(tmp_path, stiffness * np.append(0.0, lfilter([1.0], [1.0, -left], way))).late is None
+
+
 def test_the_shape_of_a_law_holds_along_a_smaller_motion(tmp_path: Path) -> None:
     """A slider whose spring stiffens: at half of the motion most of it lies where a straight spring is wrong."""
 
@@ -189,6 +201,21 @@ def test_laws_that_one_narrow_sine_does_not_tell_apart_are_named_with_a_motion_t
     assert f"record a motion of {law.parted_by}. Check first that the specimen" in " ".join(
         law_sentences(reading, True)
     )
+
+
+def test_a_motion_that_reaches_no_contact_parts_it_by_no_more_than_all_of_a_force(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, TEXT)
+    known = 2e-3 * A + 0.05 * V + 12.0 * X
+    contact = 300.0 * np.sign(X) * np.maximum(np.abs(X) - 0.01, 0.0)
+    bag = bag_of(
+        tmp_path, RATE, {"displacement 1": X, "force 1": known + contact}, record(TIME.size, held="response"), TEXT
+    )
+    records = MovedRecords.of(rig, read_observations([bag], rig))
+    assert records is not None
+    search = RecordSearch(records)
+    laws = [search.law([Block("law", (term,))]) for term in (Term("gap", 0.01), Term("power", 5.0))]
+    text = parting_motion(records, laws[0], laws[1:])
+    assert text.startswith("half of the displacement: there they differ by up to 100 %")
 
 
 FOLLOWED = {

@@ -6,7 +6,8 @@ Run from the root of the repository in ``./nmt shell``::
     python -m independent.record_campaign make --seed 300 --count 40 --out cases
     python -m independent.record_campaign read cases --out answers
 
-``make --only following`` makes cases of one group, ``--noise 0.1`` forces with so much white noise, rms over rms.
+``make --only following`` makes cases of one group, ``--noise 0.1`` forces with so much white noise, rms over rms, and
+``--late 0.012`` forces that come so many seconds after the motion.
 
 The forces are formulas and recursions of this file alone, twenty steps to a sample. ``make`` writes ``seal.txt``, the
 SHA-256 of all truths; ``read`` refuses others. A case that has an answer is not read again.
@@ -37,6 +38,7 @@ from nmt_rig.rig import load_rig
 Array = np.ndarray
 RATE, SECONDS, STEPS = 250.0, 32.0, 20
 _LOOP = 0.10
+_DELAY = 0.02
 GROUPS = ("library", "outside", "healthy", "library", "following")
 
 SLIDER = "friction of a slider behind a spring"
@@ -156,8 +158,8 @@ def motion(random: np.random.Generator) -> tuple[Array, Array, Array]:
     return x, v, np.gradient(v, time_s, edge_order=2)
 
 
-def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
-    """One case: rig file, record, sidecar and truth; the force has white noise, rms over rms."""
+def make(folder: Path, seed: int, group: str, noise: float = 0.003, late: float = 0.0) -> None:
+    """One case: rig file, record, sidecar and truth; the force has white noise, rms over rms, and comes late by s."""
     random = np.random.default_rng(seed)
     x, v, acceleration = motion(random)
     a, s = float(np.abs(x).max()), float(np.abs(v).max())
@@ -179,7 +181,9 @@ def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
         families = (family,)
         strength = random.uniform(0.1, 0.5) + random.uniform(0.3, 0.8) * channel
         missing = size * FOLLOWING[family](x, v, a, s, 0.0) * strength
-    force = (known * (1.0 + 0.004 * random.standard_normal()) + missing)[::STEPS]
+    force = known * (1.0 + 0.004 * random.standard_normal()) + missing
+    steps = np.arange(force.size)
+    force = np.interp(steps - late * RATE * STEPS, steps, force)[::STEPS]
     force += noise * float(np.std(force)) * random.standard_normal(force.size) + 0.01 * size * random.standard_normal()
     columns = {"x": x[::STEPS] + 2e-5 * a * random.standard_normal(force.size), "f": force}
     if channel is not None:
@@ -202,7 +206,7 @@ def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
     (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar), encoding="utf-8")
     np.savez(folder / "truth.npz", x=x[::STEPS], v=v[::STEPS], missing=missing[::STEPS],
              channel=np.zeros(force.size) if channel is None else channel[::STEPS])  # fmt: skip
-    truth = {"group": group, "families": list(families), "seed": seed}
+    truth = {"group": group, "families": list(families), "seed": seed, "late": late}
     (folder / "truth.yaml").write_text(yaml.safe_dump(truth), encoding="utf-8")
 
 
@@ -232,6 +236,8 @@ def read_case(folder: Path) -> dict[str, Any]:
         "read": [law.family for law in reading.laws],
         "alike": [family for law in reading.laws for family in law.other_families],
         "loop": loop_error(reading, folder) if reading.laws else math.nan,
+        "late": None if reading.late is None else reading.late[1],
+        "true_late": truth.get("late", 0.0),
         "terms": [[t.kind, *t.parameters, t.coefficient, t.by] for law in reading.laws for t in law.terms],
     }
 
@@ -288,6 +294,12 @@ def table(lines: Sequence[dict[str, Any]]) -> list[str]:
         unwritten = sum(not line["written"] for line in stated)
         result.append(f"stated: {more} of {len(stated)} with a family that is not there; {unwritten} not written")
         result.append(f"closed on parts left out, medians: inside {inside:.2f}, top {above:.2f}, file {by_file:.2f}")
+    moved = [line for line in stated if line.get("true_late")]
+    if moved:
+        near = sum(abs((line["late"] or 0.0) / line["true_late"] - 1.0) <= _DELAY for line in moved)
+        result.append(f"late forces: {near} of {len(moved)} stated with their delay within {100 * _DELAY:.0f} %")
+    in_step = sum(line.get("late") is not None for line in lines if not line.get("true_late"))
+    result.append(f"forces in step that are told as late: {in_step}")
     seconds = [line["seconds"] for line in lines]
     return [*result, f"CPU a record: median {np.median(seconds):.1f} s, largest {max(seconds):.1f} s"]
 
@@ -300,6 +312,7 @@ def main() -> None:
     maker.add_argument("--count", type=int, default=40)
     maker.add_argument("--only", choices=GROUPS)
     maker.add_argument("--noise", type=float, default=0.003)
+    maker.add_argument("--late", type=float, default=0.0)
     maker.add_argument("--out", type=Path, required=True)
     reader = actions.add_parser("read")
     reader.add_argument("cases", type=Path)
@@ -309,7 +322,7 @@ def main() -> None:
         groups = [arguments.only] if arguments.only else GROUPS
         for number in range(arguments.count):
             seed = arguments.seed + number
-            make(arguments.out / f"{seed}", seed, groups[number % len(groups)], arguments.noise)
+            make(arguments.out / f"{seed}", seed, groups[number % len(groups)], arguments.noise, arguments.late)
         (arguments.out / "seal.txt").write_text(digest_of(arguments.out) + "\n", encoding="utf-8")
         return
     if (arguments.cases / "seal.txt").read_text(encoding="utf-8").strip() != digest_of(arguments.cases):

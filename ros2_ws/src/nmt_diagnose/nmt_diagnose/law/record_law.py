@@ -59,7 +59,13 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
     if nearer != delay and (apart := MovedRecords.of(rig, observations, nearer)) is not None:
         late = min(late, _reading(rig, apart)[0], key=lambda reading: reading.after)
     if late.before < THRESHOLDS.law.least_null_score:
-        return replace(in_step, refusals=("with the force in step with the motion nothing is left",), late=late.late)
+        return replace(
+            in_step,
+            refusals=(
+                "with its force moved into step the record differs from the model by no more than noise and tolerances",
+            ),
+            late=late.late,
+        )
     # A delay is a fault, and hysteresis that no term has looks like one: it has to be the larger part of what is left.
     clear = late.is_stated and late.after <= THRESHOLDS.law.clear_score_ratio * in_step.after
     return late if clear else in_step
@@ -149,7 +155,8 @@ def _law(search: RecordSearch, best: RecordLaw, tried: Sequence[RecordLaw]) -> L
 def parting_motion(records: MovedRecords, best: RecordLaw, others: Sequence[RecordLaw]) -> str:
     """The motion at which another law differs most from the best, with the difference there and here; or nothing.
 
-    A difference is the rms between the force of the best law and of the other, without means, over that of the best.
+    A difference is the rms between the force of the best law and of the other, without means, over the larger of both:
+    a smaller motion may reach no contact of the best.
     """
     laws = [best, *others]
     if not others or any(term.by for law in laws for term, _ in law.terms):
@@ -163,9 +170,9 @@ def parting_motion(records: MovedRecords, best: RecordLaw, others: Sequence[Reco
                 sum((c * term.force(x, v, closed=False)[0] for term, c in law.terms), np.zeros(x.shape[1]))
                 for law in laws
             ]
-            parts.append([float(np.std(force - forces[0])) for force in forces[1:]] + [float(np.std(forces[0]))])
-        *gaps, of_best = np.linalg.norm(parts, axis=0)
-        return float(max(gaps) / of_best)
+            parts.append([[float(np.std(force - forces[0])), float(np.std(force))] for force in forces])
+        gaps, sizes = np.linalg.norm(parts, axis=0).T
+        return float(np.max(gaps[1:] / np.maximum(np.maximum(sizes[1:], sizes[0]), 1e-300)))
 
     name, most = max(((name, apart(*scales)) for name, scales in _PARTING.items()), key=lambda one: one[1])
     here = apart(1.0, 1.0)

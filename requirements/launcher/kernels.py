@@ -151,4 +151,6 @@ def _command(part: str) -> list[str]:
 def _environment(state: dict[str, Any]) -> dict[str, str]:
     environment = command_environment(state)
     prepend(environment, "PYTHONPATH", list(packages().values()))
+    # Every node is a process: without the byte code of what is imported here each would compile its libraries.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     return environment

@@ -24,8 +24,6 @@ PIP_INSTALL = [*PIP, "install", *CHECKED, "--use-pep517", "--progress-bar", "off
 # Every index counts alike, as with pip; the hashes decide.
 UV_INSTALL = [VENV_PYTHON, "-m", "uv", "pip", "install", "--python", VENV_PYTHON, "--no-config", *CHECKED]
 UV_INSTALL += ["--link-mode", "hardlink", "--index-strategy", "unsafe-best-match", "--no-progress"]
-# Every node is a process: without byte code each would compile its libraries, where Python is told to write none.
-UV_INSTALL += ["--compile-bytecode"]
 
 
 def install_requirements(state: dict[str, Any], runner: StepRunner) -> None:

@@ -32,7 +32,6 @@ from nmt_rig.model.harmonic_balance import (
     ModalImpedance,
     ModalTables,
     OutputTables,
-    Transfers,
     harmonic_responses,
     local_balance,
     modal_inverse,
@@ -125,7 +124,12 @@ class EpmcProblem:
         self._linear_amplitude = float(participation[self.retained_mode])
         self._linear_excitation = float(self.linear_shape @ damping @ self.linear_shape)
         self.shift = 2j * self.linear_frequency**2
-        self._local_rows = np.ascontiguousarray(self.local.directions @ self.impedance.shapes)
+        rows = np.zeros((self.local.coordinates + 1, len(self.impedance.mass)))
+        rows[:-1] = self.local.directions @ self.impedance.shapes
+        rows[-1, self.retained_mode] = 1.0
+        nothing = np.zeros(rows.shape)
+        self._inputs = np.ascontiguousarray(rows.T)
+        self._rows = OutputTables(rows, nothing, nothing, np.zeros((len(rows), len(rows))))
 
     def linear_start(self, log_amplitude: float) -> FloatArray:
         """z of the sticking linear mode at log10 q."""
@@ -158,7 +162,8 @@ class EpmcProblem:
             self.linear_frequency,
             self.shift,
             self.retained_mode,
-            self._local_rows,
+            self._inputs,
+            self._rows,
             self.impedance.tables,
             self.basis.fundamental,
             self.local.tables,
@@ -204,23 +209,6 @@ class _Point(NamedTuple):
 def _phasor(coefficients: FloatArray, j: int, offset: int) -> complex:
     """Complex amplitude of the fundamental of coordinate j."""
     return complex(coefficients[j, offset] - 1j * coefficients[j, offset + 1])
-
-
-@njit(cache=True)
-def _epmc_transfers(
-    point: _Point, shift: complex, retained_mode: int, local_rows: FloatArray, linear: ModalTables, orders: IntArray
-) -> Transfers:
-    """Transfer matrices between the local coordinates and, behind them, the retained modal coordinate."""
-    r, modes = local_rows.shape
-    inputs = np.zeros((modes, r + 1))
-    inputs[:, :r] = local_rows.T
-    inputs[retained_mode, r] = 1.0
-    nothing = np.zeros((r + 1, modes))
-    rows = OutputTables(np.ascontiguousarray(inputs.T), nothing, nothing, np.zeros((r + 1, r + 1)))
-    result: Transfers = transfer_matrices(
-        point.omega, point.excitation, orders, linear, inputs, rows, shift, retained_mode
-    )
-    return result
 
 
 @njit(cache=True)
@@ -358,13 +346,18 @@ def _epmc_residual(
     reference_frequency: float,
     shift: complex,
     retained_mode: int,
-    local_rows: FloatArray,
+    inputs: FloatArray,
+    rows: OutputTables,
     linear: ModalTables,
     fundamental: int,
     tables: LocalTables,
 ) -> tuple[FloatArray, FloatArray, ComplexArray]:
-    """Residual, Jacobian and modal fundamental η_1 / q of the EPMC problem."""
+    """Residual, Jacobian and modal fundamental η_1 / q of the EPMC problem.
+
+    Inputs and rows are the local coordinates and, behind them, the retained modal coordinate.
+    """
     orders, offsets = tables.orders, tables.offsets
+    local_rows = rows.displacement[:-1]
     r = local_rows.shape[0]
     unknowns = z.size - 1
     local = unknowns - 4
@@ -373,7 +366,7 @@ def _epmc_residual(
     point = _Point(local, local // r, offsets[fundamental], omega, excitation, a)
     displacement = z[:local].copy().reshape(r, point.size)
     forces = scaled_local_forces(displacement, 10.0 ** z[unknowns], omega, tables)
-    transfers = _epmc_transfers(point, shift, retained_mode, local_rows, linear, orders)
+    transfers = transfer_matrices(omega, excitation, orders, linear, inputs, rows, shift, retained_mode)
 
     residual = np.zeros(unknowns)
     jacobian = np.zeros((unknowns, unknowns + 1))

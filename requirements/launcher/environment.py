@@ -80,6 +80,8 @@ def build_environment(source: str) -> dict[str, str]:
     environment.setdefault("MAKEFLAGS", "-j" + cores)  # without it colcon waits for the machine to be idle
     environment.setdefault("CMAKE_BUILD_PARALLEL_LEVEL", cores)
     environment["COLCON_DEFAULTS_FILE"] = os.path.join(STATE_FOLDER, "colcon-defaults.yaml")  # not the user's
+    # Each package is a process or more: without byte code each would compile the tools that build it.
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     return environment
 
 

@@ -118,7 +118,7 @@ def held_sines(
         *(MeasuredChannel(f"a{p + 1}", Quantity.ACCELERATION, p + 1) for p in range(count)),
         *(MeasuredChannel(f"f{p}", Quantity.FORCE, p) for p in points[1:]),
     )
-    settle = round(4.0 / ratios[0])
+    settle = round(2.5 / ratios[0])  # until what is left of a start is a fiftieth of the noise
     rows, levels = RowTable(), []
     for k, (force, frequency) in enumerate(sines):
         simulator.sine(force, frequency, 8)

@@ -72,13 +72,14 @@ class ConvexFit:
     def cost(self, columns: FloatArray, signed: BoolArray) -> float:
         """:attr:`Solution.cost` of a fit to columns (L, M, k), without the rest of it."""
         flat = columns.reshape(-1, columns.shape[2])
-        norms = np.sqrt((flat**2).sum(axis=0))
-        flat = flat / np.where(norms > 0.0, norms, 1.0)
+        gram = flat.T @ flat
+        norms = np.sqrt(gram.diagonal())
+        share = 1.0 / np.where(norms > 0.0, norms, 1.0)
         across = flat.T @ self.nuisance.reshape(len(flat), -1)
-        half = solve_triangular(self.lower, across.T, lower=True)
-        right = flat.T @ self.target.ravel() - half.T @ self.half
+        half = dtrtrs(self.lower, across.T, lower=1)[0]
+        right = share * (flat.T @ self.target.ravel() - half.T @ self.half)
         # At the optimum a coefficient takes off its product with its right-hand side, 0 at its bound.
-        theta = _constrained(flat.T @ flat - half.T @ half, right, 0, signed)
+        theta = _constrained(np.multiply.outer(share, share) * (gram - half.T @ half), right, 0, signed)
         return float(self.tt.sum() - self.half @ self.half - theta @ right)
 
     def solve(self, columns: FloatArray, signed: BoolArray) -> Solution:
@@ -145,30 +146,37 @@ class ConvexFit:
 
 def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray) -> FloatArray:
     """Least squares by normal equations: unit priors on the first m unknowns, the others free or not negative."""
-    size = right.size
+    normal = gram.copy()
+    normal.flat[:: right.size + 1] += np.where(np.arange(right.size) < m, 1.0, _JITTER)
     free = np.concatenate([np.ones(m, bool), signed])
+    if not free.any():
+        return _not_negative(normal, right)
     a, b = np.flatnonzero(free), np.flatnonzero(~free)
-    normal = gram + np.diag(np.where(np.arange(size) < m, 1.0, _JITTER))
-    theta = np.zeros(size)
+    theta = np.zeros(right.size)
     # LAPACK itself: this runs thousands of times a reading, and checks of its arguments take as long as it does.
-    factor, fault = dpotrf(normal[a[:, np.newaxis], a]) if a.size else (None, 0)
+    factor, fault = dpotrf(normal[a[:, np.newaxis], a])
     if fault:
         raise np.linalg.LinAlgError("the columns of either sign are no more than others of them")
-
-    def by_free(values: FloatArray) -> FloatArray:
-        return np.asarray(dpotrs(factor, values)[0]) if factor is not None else values
-
     if b.size:
         beside = normal[a[:, np.newaxis], b]
-        schur = normal[b[:, np.newaxis], b] - beside.T @ by_free(beside)
-        reduced = right[b] - beside.T @ by_free(right[a])
-        scale = np.sqrt(np.maximum(np.diag(schur), 1e-300))
-        schur, reduced = schur / np.outer(scale, scale) + _JITTER * 1e2 * np.eye(b.size), reduced / scale
-        upper, fault = dpotrf(schur)
-        if fault:
-            upper = cholesky(schur + 1e-6 * np.eye(b.size))
-        theta[b] = nnls(upper, dtrtrs(upper, reduced, trans=1)[0])[0] / scale
-        theta[a] = by_free(right[a] - beside @ theta[b])
+        by_free = dpotrs(factor, np.column_stack([beside, right[a]]))[0]
+        schur = normal[b[:, np.newaxis], b] - beside.T @ by_free[:, :-1]
+        theta[b] = _not_negative(schur, right[b] - beside.T @ by_free[:, -1])
+        theta[a] = by_free[:, -1] - by_free[:, :-1] @ theta[b]
     else:
-        theta[a] = by_free(right)
+        theta[a] = dpotrs(factor, right[a])[0]
     return theta
+
+
+def _not_negative(gram: FloatArray, right: FloatArray) -> FloatArray:
+    """Least squares by normal equations whose unknowns are not negative."""
+    scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+    gram, right = gram / np.multiply.outer(scale, scale), right / scale
+    gram.flat[:: right.size + 1] += _JITTER * 1e2
+    upper, fault = dpotrf(gram)
+    if fault:
+        upper = cholesky(gram + 1e-6 * np.eye(right.size))
+    found = dpotrs(upper, right)[0]
+    if found.min() < 0.0:
+        found = nnls(upper, dtrtrs(upper, right, trans=1)[0])[0]
+    return np.asarray(found / scale)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -136,10 +137,14 @@ class MovedRecord:
         there: FloatArray = np.interp(at + late, known, force[known])
         return self.missing[part] + there - force[at]
 
-    def force(self, term: Term) -> FloatArray:
-        """Force of a term of unit strength at all samples, N, (n,); its memory begins as that of the file does."""
-        force: FloatArray = term.force(self.x, self.v, closed=False)[0]
-        return force * (self.channels[term.by][0] - term.about) if term.by else force
+    def force(self, term: Term, at: IntArray | slice = slice(None)) -> FloatArray:
+        """Force of a term of unit strength at samples, N, (n,); its memory begins as that of the file does."""
+        force: FloatArray
+        if term.remembers:
+            force = term.force(self.x, self.v, closed=False)[0, at]
+        else:
+            force = term.force(self.x[:, at], self.v[:, at])[0]
+        return force * (self.channels[term.by][0, at] - term.about) if term.by else force
 
 
 def constant_of(test: ImposedMotion) -> str:
@@ -251,7 +256,7 @@ class MovedRecords:
         """Errors of chain and model."""
         return tuple(dict.fromkeys(name for record in self.records for name in record.errors))
 
-    @property
+    @cached_property
     def missing(self) -> FloatArray:
         """Missing force over its standard deviation, (P, M); 0 where a part has no row."""
         return self._padded([record.missing[part] / record.sigma[part] for record, part in self._parts()])
@@ -276,13 +281,30 @@ class MovedRecords:
             if term not in self._columns:
                 self._columns[term] = self._column(term)
         made = [self._columns[term] for term in terms]
-        return np.stack(made, axis=-1) if made else np.zeros((*self.missing.shape, 0))
+        # The samples of a term lie side by side: fits run along them.
+        return np.moveaxis(np.stack(made), 0, -1) if made else np.zeros((*self.missing.shape, 0))
 
     def _column(self, term: Term) -> FloatArray:
-        forces = [record.force(term) for record in self.records]
-        return self._padded(
-            [forces[k][self.records[k].parts[part]] / self.records[k].sigma[part] for k, part in self.part_of]
-        )
+        column = np.zeros(self.missing.shape)
+        for record, (at, sigma, places) in zip(self.records, self._samples, strict=True):
+            column.ravel()[places] = record.force(term, at) / sigma
+        return column
+
+    @cached_property
+    def _samples(self) -> list[tuple[IntArray, FloatArray, IntArray]]:
+        """Of each record the samples of its parts, their standard deviations and their places in a column."""
+        longest = self.missing.shape[1]
+        found = []
+        for number, record in enumerate(self.records):
+            parts = [(row, part) for row, (k, part) in enumerate(self.part_of) if k == number]
+            found.append(
+                (
+                    np.concatenate([record.parts[part] for _, part in parts]),
+                    np.concatenate([record.sigma[part] for _, part in parts]),
+                    np.concatenate([row * longest + np.arange(record.parts[part].size) for row, part in parts]),
+                )
+            )
+        return found
 
     def _parts(self) -> list[tuple[MovedRecord, int]]:
         return [(self.records[k], part) for k, part in self.part_of]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -93,6 +94,13 @@ class Term:
         return self.form.signed or bool(self.by)
 
     @property
+    def remembers(self) -> bool:
+        """Whether its force depends on the way to a motion, not on the motion alone."""
+        if self.form.force is not None:
+            return False
+        return isinstance(self._element, LuGre | SlackSlider) or bool(self._element.sliders)
+
+    @property
     def unit(self) -> str:
         """Unit of the coefficient."""
         if self.by:
@@ -112,11 +120,15 @@ class Term:
         """Force (…, n) of a unit coefficient along displacement (m) and velocity (m/s); see :func:`force_of`."""
         if self.form.force is not None:
             return np.asarray(self.form.force(x, v, self.first, self.second))
-        assert self.section is not None
-        element = self.section.element(_ALONG, *self.values(1.0).values())
         # A stop of the other side is the same one along the other direction.
         side = -1.0 if self.kind == "stop" and self.second < 0.0 else 1.0
-        return side * force_of(element, side * x, side * v, closed)
+        return side * force_of(self._element, side * x, side * v, closed)
+
+    @cached_property
+    def _element(self) -> Any:
+        """The element of unit strength that has its force."""
+        assert self.section is not None
+        return self.section.element(_ALONG, *self.values(1.0).values())
 
 
 def _form(kind: str, first: float) -> tuple[LawForm, type[ElementSection] | None]:

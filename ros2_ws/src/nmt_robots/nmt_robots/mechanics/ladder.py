@@ -130,8 +130,9 @@ class JointProblem:
     def _is_viscous(self, rival: Effect) -> bool:
         """Whether its column is that of viscous friction, beyond the other usual effects."""
         viscous = next(effect for effect in self.usual if effect.key == "viscous")
-        others = self.columns([effect for effect in self.usual if effect is not viscous])
-        return _cosine(others, self.columns([viscous]), self.columns([rival])) > THRESHOLDS.equal
+        others = _span(self.columns([effect for effect in self.usual if effect is not viscous]))
+        direction = _span(_beyond(others, self.columns([viscous])))
+        return _cosine(others, direction, self.columns([rival])) > THRESHOLDS.equal
 
     def columns(self, effects: list[Effect]) -> Array:
         """Filtered columns of effects in the rows that move."""
@@ -296,13 +297,13 @@ def _gains(
     what both parts leave over. The gain is the torque that a rival takes, as a share of the joint's.
     """
     matrix = problem.columns(effects)
-    basis = np.linalg.qr(matrix)[0]
-    unexplained = problem.left - basis @ (basis.T @ problem.left)
+    basis = _span(matrix)
+    unexplained = _beyond(basis, problem.left)
     found = []
     for rival in rivals:
         # What a rival takes of the rows it is fitted to bounds what it can take of others.
         column = problem.columns([rival])
-        beyond = np.linalg.qr(column - basis @ (basis.T @ column))[0]
+        beyond = _span(_beyond(basis, column))
         bound = _rms(beyond @ (beyond.T @ unexplained)) / max(now.torque, 1e-300)
         if bound < THRESHOLDS.smallest_share and not needed:
             continue
@@ -358,32 +359,37 @@ def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool)
 def _alike(problem: JointProblem, effects: list[Effect], effect: Effect) -> dict[str, float]:
     """Effects of the library whose columns, beyond the other effects, point the way of this one: words and cosine."""
     others = [item for item in effects if item is not effect]
-    basis, column = problem.columns(others), problem.columns([effect])
+    basis, column = _span(problem.columns(others)), problem.columns([effect])
     beyond = _beyond(basis, column)
     size = np.linalg.norm(column)
     if size == 0.0 or np.linalg.norm(beyond) < 1e-6 * size:
         return {"the other effects together": 1.0}
+    direction = _span(beyond)
     found: dict[str, float] = {}
     for rival in problem.library:
         if rival.key == effect.key or any(rival is item for item in others):
             continue
         if rival.parameters > effect.parameters:
             continue
-        cosine = _cosine(basis, column, problem.columns([rival]))
+        cosine = _cosine(basis, direction, problem.columns([rival]))
         if cosine > max(THRESHOLDS.alike, found.get(rival.words, 0.0)):
             found[rival.words] = cosine
     return found
 
 
-def _beyond(basis: Array, columns: Array) -> Array:
-    """What of columns is not in the span of others."""
-    span = np.linalg.qr(basis)[0]
+def _span(columns: Array) -> Array:
+    """Orthonormal columns that span the same."""
+    return np.asarray(np.linalg.qr(columns)[0])
+
+
+def _beyond(span: Array, columns: Array) -> Array:
+    """What of columns is not in the span of orthonormal others."""
     return np.asarray(columns - span @ (span.T @ columns))
 
 
-def _cosine(basis: Array, columns: Array, other: Array) -> float:
-    """Of the angle between columns and other ones, beyond a basis; zero where the basis has most of the other ones."""
-    direction, remainder = np.linalg.qr(_beyond(basis, columns))[0], _beyond(basis, other)
+def _cosine(span: Array, direction: Array, other: Array) -> float:
+    """Of the angle between a direction and columns, beyond a span; zero where the span has most of the columns."""
+    remainder = _beyond(span, other)
     length = float(np.linalg.norm(remainder))
     if length <= _MOSTLY_OTHERS * float(np.linalg.norm(other)):
         return 0.0

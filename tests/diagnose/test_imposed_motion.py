@@ -67,7 +67,7 @@ def bag_of(
 ) -> Path:
     """Bag of an import; columns are named by quantity and point, such as ``force 1``."""
     names = {"force": "N", "torque": "N m", "displacement": "m", "velocity": "m/s", "angular_velocity": "rad/s"}
-    names |= {"current": "A", "voltage": "V"}
+    names |= {"current": "A", "voltage": "V", "acceleration": "m/s^2"}
     np.savez(folder / "data.npz", **{name.replace(" ", "_"): values for name, values in columns.items()})
     channels = "".join(
         f"  - {{column: {name.replace(' ', '_')}, quantity: {name.split()[0]}, unit: {names[name.split()[0]]}, "

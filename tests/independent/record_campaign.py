@@ -1,4 +1,4 @@
-"""Sealed records of an imposed motion with a missing force: makes them, reads the law of each, and tabulates.
+"""Sealed records of an imposed or driven motion with a missing force: makes them, reads the law of each, and tabulates.
 
 Run from the root of the repository in ``./nmt shell``::
 
@@ -7,7 +7,8 @@ Run from the root of the repository in ``./nmt shell``::
     python -m independent.record_campaign read cases --out answers
 
 ``make --only following`` makes cases of one group, ``--noise 0.1`` forces with so much white noise, rms over rms, and
-``--late 0.012`` forces that come so many seconds after the motion.
+``--late 0.012`` forces that come so many seconds after the motion; ``--driven`` rows of masses that a measured force
+drives, with the missing force at any place (:mod:`independent.driven_rows`).
 
 The forces are formulas and recursions of this file alone, twenty steps to a sample. ``make`` writes ``seal.txt``, the
 SHA-256 of all truths; ``read`` refuses others. A case that has an answer is not read again.
@@ -26,6 +27,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from independent import driven_rows
 from independent.law_campaign import digest_of
 
 from nmt_bench.data_import import import_data
@@ -40,6 +42,7 @@ RATE, SECONDS, STEPS = 250.0, 32.0, 20
 _LOOP = 0.10
 _DELAY = 0.02
 GROUPS = ("library", "outside", "healthy", "library", "following")
+OF_DRIVEN = ("library", "outside", "healthy", "library")
 
 SLIDER = "friction of a slider behind a spring"
 DRY, WEAK = "dry friction", "dry friction that weakens with speed"
@@ -234,6 +237,10 @@ def read_case(folder: Path) -> dict[str, Any]:
         "above": reading.closed_above,
         "by_file": reading.closed_by_file,
         "read": [law.family for law in reading.laws],
+        "places": [law.place for law in reading.laws],
+        "other_places": [place for law in reading.laws for place in law.other_places],
+        "true_place": truth.get("place", "1"),
+        "bare": truth.get("bare", False),
         "alike": [family for law in reading.laws for family in law.other_families],
         "loop": loop_error(reading, folder) if reading.laws else math.nan,
         "late": None if reading.late is None else reading.late[1],
@@ -262,8 +269,9 @@ def families_of(line: dict[str, Any]) -> list[str]:
 
 
 def is_right(line: dict[str, Any]) -> bool:
-    """Whether the law that is stated has the families of the truth and no other."""
-    return bool(line["stated"]) and sorted(families_of(line)) == sorted(line["true"])
+    """Whether the law that is stated has the place and the families of the truth and no other."""
+    at_place = line.get("places") in (None, [line.get("true_place")])
+    return bool(line["stated"]) and at_place and sorted(families_of(line)) == sorted(line["true"])
 
 
 def is_open(line: dict[str, Any]) -> bool:
@@ -294,6 +302,11 @@ def table(lines: Sequence[dict[str, Any]]) -> list[str]:
         unwritten = sum(not line["written"] for line in stated)
         result.append(f"stated: {more} of {len(stated)} with a family that is not there; {unwritten} not written")
         result.append(f"closed on parts left out, medians: inside {inside:.2f}, top {above:.2f}, file {by_file:.2f}")
+    away = [line for line in stated if line["places"] != [line["true_place"]]]
+    result.append(f"stated at another place: {len(away)}")
+    without = [line for line in lines if line.get("bare") and line["group"] != "healthy"]
+    if without:
+        result.append(f"place without a sensor: {sum(map(is_right, without))} of {len(without)} right")
     moved = [line for line in stated if line.get("true_late")]
     if moved:
         near = sum(abs((line["late"] or 0.0) / line["true_late"] - 1.0) <= _DELAY for line in moved)
@@ -313,15 +326,19 @@ def main() -> None:
     maker.add_argument("--only", choices=GROUPS)
     maker.add_argument("--noise", type=float, default=0.003)
     maker.add_argument("--late", type=float, default=0.0)
+    maker.add_argument("--driven", action="store_true")
     maker.add_argument("--out", type=Path, required=True)
     reader = actions.add_parser("read")
     reader.add_argument("cases", type=Path)
     reader.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     if arguments.action == "make":
-        groups = [arguments.only] if arguments.only else GROUPS
+        groups = [arguments.only] if arguments.only else OF_DRIVEN if arguments.driven else GROUPS
         for number in range(arguments.count):
             seed = arguments.seed + number
+            if arguments.driven:
+                driven_rows.make(arguments.out / f"{seed}", seed, groups[number % len(groups)], arguments.noise)
+                continue
             make(arguments.out / f"{seed}", seed, groups[number % len(groups)], arguments.noise, arguments.late)
         (arguments.out / "seal.txt").write_text(digest_of(arguments.out) + "\n", encoding="utf-8")
         return
@@ -338,6 +355,7 @@ def main() -> None:
     for line in lines:
         mark = "right" if is_right(line) else "stated" if line["stated"] else "-"
         names = f"{', '.join(line['true'])} | {mark}: {', '.join(line.get('read', ()))}"
+        names += f" | {line.get('true_place', '')}: {', '.join(line.get('places') or ())}"
         print(f"{line['case']} {line['group']}: {names} | {line.get('loop', math.nan):.3f}")
     print("\n".join(table(lines)))
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed
+from nmt_diagnose.law.sampled_records import SampledRecords
 
 _LINE = 1500  # points of the law's line
 _LAGS = 40
@@ -54,36 +55,36 @@ def check_of(search: RecordSearch, best: RecordLaw) -> RecordCheck:
     errors, strengths = search.problem.without(records.columns(terms), signed(best.blocks), [out])
     number, part = records.part_of[out]
     record = records.records[number]
-    size, sigma = record.parts[part].size, record.sigma[part]
     corrected = search.problem.target[out] - search.problem.nuisance[out] @ errors
-    at, rate = record.parts[part], record.test.sample_rate
+    at, measured, std = record.force_at(part, corrected)
+    rate = record.rate
     dense = np.arange(at[0], at[-1] + 1, max(1, (at[-1] - at[0]) // _LINE))
     force = np.sum([c * record.force(term) for term, c in zip(terms, strengths, strict=True)], axis=0)
     # A preload is no part of a law, and its line has none.
-    measured = corrected[:size] * sigma
-    measured = measured + np.average(force[at] - measured, weights=sigma**-2.0)
+    measured = measured + np.mean(force[at] - measured)
     left = best.fit.corrected - records.columns(terms) @ best.fit.coefficients
     lags, without = autocorrelation(records, search.null.fit.corrected)
     _, with_law = autocorrelation(records, left)
     return RecordCheck(
-        record.test.name, tuple(at / rate), tuple(measured), float(sigma.mean()), tuple(dense / rate),
+        record.test.name, tuple(at / rate), tuple(measured), std, tuple(dense / rate),
         tuple(force[dense]), tuple(lags), tuple(without), tuple(with_law),
-        2.0 / float(np.sqrt(sum(map(np.size, _times(records))))),
+        2.0 / float(np.sqrt(sum(rows.size for _, rows, _ in records.series()))),
     )  # fmt: skip
 
 
-def autocorrelation(records: MovedRecords, left: FloatArray) -> tuple[FloatArray, FloatArray]:
+def autocorrelation(records: SampledRecords[Any], left: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lags (s) and the autocorrelation at them of whitened rows (P, M), by products of pairs sorted by distance.
 
     Rows are in step with nothing, so that their pairs have all distances (Gaster and Roberts, J. Inst. Math. Appl. 15
     (1975) 195).
     """
-    times = _times(records)
+    series = records.series()
+    times = [time_s for _, _, time_s in series]
     step = max(float(np.median([np.ptp(time_s) / max(time_s.size - 1, 1) for time_s in times])), 1e-12)
     count = max(2, min(_LAGS, int(_LONGEST * min(float(np.ptp(time_s)) for time_s in times) / step)))
     sums, pairs, squares, rows = np.zeros(count), np.zeros(count), 0.0, 0
-    for row, time_s in zip(left, times, strict=True):
-        values = row[: time_s.size] - row[: time_s.size].mean()
+    for number, where, time_s in series:
+        values = left[number, where] - left[number, where].mean()
         slots = np.round(np.abs(time_s[:, np.newaxis] - time_s) / step).astype(int)
         within = slots < count
         sums += np.bincount(slots[within], np.outer(values, values)[within], count)
@@ -92,9 +93,3 @@ def autocorrelation(records: MovedRecords, left: FloatArray) -> tuple[FloatArray
     found = sums / np.maximum(pairs, 1.0) * rows / max(squares, 1e-300)
     found[0] = 1.0
     return np.asarray(step * np.arange(count)), found
-
-
-def _times(records: MovedRecords) -> list[FloatArray]:
-    """Times of the rows of each part, s."""
-    of_parts = [(records.records[number], part) for number, part in records.part_of]
-    return [record.parts[part] / record.test.sample_rate for record, part in of_parts]

@@ -8,8 +8,9 @@ below them.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share
 from nmt_diagnose.law.record_check import RecordCheck, check_of
 from nmt_diagnose.law.record_delay import delay_of
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed, words_of
+from nmt_diagnose.law.sampled_records import SampledRecords
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -34,6 +36,10 @@ _PARTING = {
     "twice the displacement": (2.0, 1.0), "half of the displacement": (0.5, 1.0), "twice the speed": (1.0, 2.0),
     "half of the speed": (1.0, 0.5),
 }  # fmt: skip
+
+
+def _none(_: str) -> tuple[str, ...]:
+    return ()
 
 
 def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
@@ -73,7 +79,23 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
 
 def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:
     """The law of records whose force is as late as they say, and what their errors of chain and model count with."""
-    limits, search = THRESHOLDS.law, RecordSearch(records)
+    search = RecordSearch(records)
+    tried = search.found() if search.null.score >= THRESHOLDS.law.least_null_score else []
+    return reading_of(rig, search, tried), search.worth
+
+
+def reading_of(
+    rig: Rig, search: RecordSearch, tried: Sequence[RecordLaw], other_places: Callable[[str], tuple[str, ...]] = _none
+) -> LawReading:
+    """The law of records, or why none is told.
+
+    Args:
+        rig: the model as given.
+        search: of the law.
+        tried: laws that were found; nothing where none was looked for.
+        other_places: places at which a law of a family does nearly as well.
+    """
+    limits, records = THRESHOLDS.law, search.records
     before = search.null.score
     name = " and ".join(record.test.name for record in records.records)
 
@@ -85,23 +107,21 @@ def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:
         by_file: float = math.nan,
         late: float = float(records.late),
         check: RecordCheck | None = None,
-    ) -> tuple[LawReading, FloatArray]:
+    ) -> LawReading:
         inside = closed_share(before, after) if laws else math.nan
         refusals = (why,) if why else ()
-        lateness = (records.force_channel, late / records.force_rate) if records.late else None
-        return (
-            LawReading(
-                name, records.count, laws, before, after, inside, above, refusals, True, by_file, lateness, check
-            ),
-            search.worth,
+        lateness = None if records.lateness is None else (records.lateness[0], late * records.lateness[1])
+        return LawReading(
+            name, records.count, laws, before, after, inside, above, refusals, True, by_file, lateness, check
         )
 
     if before < limits.least_null_score:
         return reading("the record differs from the model by no more than noise and tolerances")
-    tried = search.found()
     if not tried:
         return reading("no local force explains it")
     best = search.fewest(tried)
+    if not best.terms:
+        return reading("no local force explains it")
     top = [records.count - 2, records.count - 1]
     above = closed_share(
         search.problem.predicted(records.columns([]), signed([]), top),
@@ -115,7 +135,7 @@ def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:
         why = f"it needs what chain and model are not ordinarily off by: {', '.join(pulled)}"
     elif above < 0.0:
         why = "the parts of the largest motion are predicted worse with it"
-    law = _law(search, best, tried)
+    law = _law(search, best, tried, other_places)
     by_file = math.nan if why else _closed_by_file(rig, search, best, law, top)
     return reading(
         why, law, after=best.score, above=above, by_file=by_file, late=search.late(best), check=check_of(search, best)
@@ -133,7 +153,12 @@ def _closed_by_file(rig: Rig, search: RecordSearch, best: RecordLaw, law: LocalL
     return closed_share(before, after)
 
 
-def _law(search: RecordSearch, best: RecordLaw, tried: Sequence[RecordLaw]) -> LocalLaw:
+def _law(
+    search: RecordSearch,
+    best: RecordLaw,
+    tried: Sequence[RecordLaw],
+    other_places: Callable[[str], tuple[str, ...]],
+) -> LocalLaw:
     records = search.records
     terms = _law_terms(best, search.covariance(best))
     words = words_of(records, best)
@@ -147,12 +172,13 @@ def _law(search: RecordSearch, best: RecordLaw, tried: Sequence[RecordLaw]) -> L
     channels = dict.fromkeys(term.by for term in terms if term.by)
     between = tuple((channel, *records.range_of(channel)) for channel in channels)
     return LocalLaw(
-        records.point, 0, words, terms, largest, (), _loops(records, best), tuple(other for other, _ in alike), between,
+        *records.place, words, terms, largest, other_places(words), _loops(records, best),
+        tuple(other for other, _ in alike), between,
         parting_motion(records, best, [law for _, law in alike]),
     )  # fmt: skip
 
 
-def parting_motion(records: MovedRecords, best: RecordLaw, others: Sequence[RecordLaw]) -> str:
+def parting_motion(records: SampledRecords[Any], best: RecordLaw, others: Sequence[RecordLaw]) -> str:
     """The motion at which another law differs most from the best, with the difference there and here; or nothing.
 
     A difference is the rms between the force of the best law and of the other, without means, over the larger of both:
@@ -196,22 +222,20 @@ def _law_terms(best: RecordLaw, covariance: FloatArray) -> tuple[LawTerm, ...]:
     )
 
 
-def _loops(records: MovedRecords, best: RecordLaw) -> tuple[ForceLoop, ...]:
+def _loops(records: SampledRecords[Any], best: RecordLaw) -> tuple[ForceLoop, ...]:
     """Missing force over the motion of a few parts, as it was measured and as the law has it."""
-    at_rows = records.columns([term for term, _ in best.terms]) @ np.array([value for _, value in best.terms])
     result = []
     for number in np.unique(np.linspace(0, records.count - 1, 3).round().astype(int)):
         k, part = records.part_of[number]
         record = records.records[k]
         law = np.sum([c * record.force(term) for term, c in best.terms], axis=0)
-        rows = slice(0, min(record.parts[part].size, _DRAWN))
-        at, sigma = record.parts[part][rows], record.sigma[part][rows]
+        at, measured, std = record.force_at(part, best.fit.corrected[number])
+        at, measured = at[:_DRAWN], measured[:_DRAWN]
         line = np.arange(at[0], at[-1] + 1, max(1, (at[-1] - at[0]) // _LINE))
         result.append(
             ForceLoop(
                 int(number) + 1, tuple(record.x[0, at]), tuple(record.v[0, at]),
-                tuple(best.fit.corrected[number, rows] * sigma), float(sigma.mean()),
-                tuple(at_rows[number, rows] * sigma),
+                tuple(measured), std, tuple(law[at]),
                 tuple(tuple(values[line]) for values in (record.x[0], record.v[0], law)),
             )
         )  # fmt: skip

@@ -11,6 +11,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
 from nmt_diagnose.law.law_search import best_moved, between
 from nmt_diagnose.law.law_words import family
-from nmt_diagnose.law.moved_record import DELAY, HALF_A_SAMPLE, MovedRecords, constant_of
+from nmt_diagnose.law.sampled_records import DELAY, HALF_A_SAMPLE, SampledRecords
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import POSITION
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -29,6 +30,9 @@ _KEPT = 2  # laws that are gone on from
 _BELOW = 0.1  # of a strength that it may be below zero at the end of the range
 _STEP = 1e-3  # of a parameter, for differences
 _SHORTENED = 3  # of as many terms that are judged
+_THIN = 8  # of a family that are tried where places are compared
+_TIGHTENED = 30  # rounds in which errors without a law come to be ordinary ones
+_BEYOND = 1.05
 _REFINED = 6  # families that are refined beside each
 
 
@@ -72,14 +76,13 @@ class RecordSearch:
     """Looks for the law of records.
 
     Args:
-        records: of the motion.
+        records: with the motion of the place.
     """
 
-    def __init__(self, records: MovedRecords) -> None:
+    def __init__(self, records: SampledRecords[Any]) -> None:
         self.records = records
         self._missing, self._errors = records.missing, records.nuisance
-        free = {constant_of(record.test) for record in records.records}
-        self._free = np.array([name in free for name in records.names], bool)
+        self._free = np.array([name in records.free for name in records.names], bool)
         self.null = self._weighed(self._weighed(None))
 
     def _weighed(self, law: RecordLaw | None) -> RecordLaw:
@@ -90,9 +93,18 @@ class RecordSearch:
         """
         worth = 1.0 if law is None else self._scale(law)
         self.worth = np.where(self._free, 1.0, worth)
+        blocks = () if law is None else law.blocks
         inner = list(range(1, self.records.count - 1))
-        self.problem = ConvexFit(self._missing, self._errors / self.worth, inner, self.records.names)
-        return self.law(() if law is None else law.blocks)
+        most = 0.0 if blocks else THRESHOLDS.law.pull_sigmas
+        for _ in range(_TIGHTENED):
+            self.problem = ConvexFit(self._missing, self._errors / self.worth, inner, self.records.names)
+            found = self.law(blocks)
+            pulls = np.where(self._free, 0.0, np.abs(found.fit.nuisance / self.worth))
+            # Without a law nothing keeps gains from taking off all of motion and force.
+            if blocks or not np.any(pulls > _BEYOND * most):
+                break
+            self.worth = self.worth * np.maximum(pulls / most, 1.0) ** 0.75
+        return found
 
     def _scale(self, law: RecordLaw) -> float:
         """Standard deviation that a row counts with, over the stated one."""
@@ -107,6 +119,13 @@ class RecordSearch:
         """Squared residuals of blocks and what the priors of the errors count."""
         return self.problem.cost(self.records.columns(_terms(blocks)), signed(blocks))
 
+    def singles(self) -> list[RecordLaw]:
+        """Laws of one block of the families that fit best, of a few of each: what a place is worth, the best first."""
+        every = blocks_of_records(self.records.x, self.records.v).values()
+        families = [members[:: max(1, len(members) // _THIN)] for members in every]
+        laws = [law for law in self._beside(self.null, families) if law.terms]
+        return sorted(laws, key=lambda law: law.score)
+
     def found(self) -> list[RecordLaw]:
         """Laws of one block and more, the best of each number of blocks among them."""
         families = blocks_of_records(self.records.x, self.records.v)
@@ -116,7 +135,7 @@ class RecordSearch:
             others = sorted((law for _, law in grown), key=lambda law: law.score)
             # A block is told beside those that it stands with, not beside another law.
             better = sorted((law for one, law in grown if law.score * ratio <= one.score), key=lambda law: law.score)
-            if not better or kept[0].score <= THRESHOLDS.law.second_from_score:
+            if not better or kept[0].score <= self.records.enough:
                 return result or others
             near = [law for law in better[1:] if law.score <= better[0].score * ratio]
             # What is gone on from is the best law and the shortest that is alike.
@@ -239,6 +258,7 @@ class RecordSearch:
         # Scores compare where rows count alike.
         best = self._weighed(first).score
         near = [self.law(law.blocks) for law in tried if law.score <= first.score * ratio]
+        near = [law for law in near if law.acts] or [first]
         paths = [self._shortened(law, max(law.score, best * ratio**0.5)) for law in near]
         least = ratio * min(law.score for path in paths for law in path)
         within = [kept for path in paths if (kept := [law for law in path if law.score <= least])]
@@ -286,16 +306,16 @@ def in_shape(path: Sequence[RecordLaw], words: Sequence[str]) -> RecordLaw:
     return (alike or [path[-1]])[-1]
 
 
-def words_of(records: MovedRecords, law: RecordLaw) -> str:
-    """Families of a law in words, that of the largest force first."""
+def words_of(records: SampledRecords[Any], law: RecordLaw) -> str:
+    """Families of a law in words, that of the largest force first; empty where no term acts."""
     sizes: dict[str, float] = {}
-    for block in law.strengths:
+    for block in filter(None, law.strengths):
         force = records.columns([term for term, _ in block]) @ np.array([value for _, value in block])
-        words = family([pair for pair in block if not pair[0].by])
+        words = family([pair for pair in block if not pair[0].by] or list(block))
         words += f" that follows the {block[-1][0].by}" if block[-1][0].by else ""
         sizes[words] = max(sizes.get(words, 0.0), float(np.linalg.norm(force)))
     names = sorted(sizes, key=lambda words: -sizes[words])
-    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else names[0]
+    return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
 
 
 def _stays_passive(law: RecordLaw, number: int, half: float) -> bool:

@@ -22,6 +22,7 @@ from nmt_rig.rig import Rig
 
 if TYPE_CHECKING:
     from nmt_diagnose.law.held_levels import HeldLevels
+    from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
     from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
     from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
     from nmt_diagnose.observations.bag_windows import BagWindows
@@ -177,6 +178,11 @@ class Measurement:
     @property
     def moved_as(self) -> ImposedMotion | None:
         """The record of a motion that the drive point was moved by; None where forces drove."""
+        return None
+
+    @property
+    def driven_as(self) -> DrivenRecord | None:
+        """The record whose samples of the responses are known where it was driven; None of other kinds."""
         return None
 
     @property

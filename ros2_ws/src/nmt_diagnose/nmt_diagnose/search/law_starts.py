@@ -13,6 +13,7 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.fit.best_fit import StartName, likelihood, spread_at
 from nmt_diagnose.fit.explanations import FittedExplanation, best_of
 from nmt_diagnose.fit.fitting import ON_THE_WAY, Start
+from nmt_diagnose.law.driven_law import read_driven_law
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
 from nmt_diagnose.law.record_law import read_record_law
 from nmt_diagnose.observations.observables import Observations
@@ -24,9 +25,10 @@ _LARGEST_LOG = 8.0  # of a shape over its scale: beyond it the start says nothin
 
 
 def law_of(rig: Rig, observations: Observations) -> LawReading | None:
-    """The law of held levels, else of a record of an imposed motion; None where there is none to read."""
+    """The law of held levels, else of records of an imposed motion, else of driven ones; None where there is none."""
     try:
-        return read_law(rig, observations) or read_record_law(rig, observations)
+        held = read_law(rig, observations) or read_record_law(rig, observations)
+        return held or read_driven_law(rig, observations)
     except (BenchError, ArithmeticError, np.linalg.LinAlgError):
         return None
 

@@ -61,6 +61,10 @@ class LawThresholds:
         0.03, "1", "Motion of a place over the largest: forces where nothing moves are not seen.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
+    open_motion_share: float = threshold(
+        0.2, "1", "What noise leaves open of the motion of a place of a driven record, over it: forms lose 4 % by it.",
+        "tests/diagnose/test_driven_law.py::test_a_place_whose_motion_no_channel_tells_is_not_named",
+    )  # fmt: skip
     largest_slip_share: float = threshold(
         0.7, "1", "Largest slip displacement over the largest motion: what hardly slips is a spring.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",

@@ -52,6 +52,7 @@ class DrivenRecord(Driven):
         head_stride: samples of the input from one of these to the next.
         begins_in_motion: whether the model may not start at rest.
         followed: further channels, which a force may follow, at the samples of the input, by what they are.
+        responses: the channels as they were recorded, shape (channels, samples); empty = not kept.
     """
 
     WORDS: ClassVar[str] = "record, driven by the measured input"
@@ -74,6 +75,12 @@ class DrivenRecord(Driven):
     head_stride: int = 1
     begins_in_motion: bool = False
     followed: dict[str, FloatArray] = field(default_factory=dict)
+    responses: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @property
+    def driven_as(self) -> DrivenRecord | None:
+        """Itself, where its responses are known sample by sample."""
+        return self if self.responses.size else None
 
     @property
     def signals(self) -> dict[str, FloatArray]:

@@ -154,6 +154,7 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
         head_stride=factor,
         begins_in_motion=in_motion,
         followed=followed_channels(stretch, source, set(recorded.values()), fine),
+        responses=responses,
     )
     return table.observations(test, notes)
 

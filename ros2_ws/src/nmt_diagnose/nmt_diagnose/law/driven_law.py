@@ -1,0 +1,66 @@
+"""The law of a missing force, read from driven records: at every place, by what its force makes of the responses."""
+
+from __future__ import annotations
+
+import math
+
+from nmt_diagnose.law.reading import LawReading, nearly_as_well
+from nmt_diagnose.law.record_law import reading_of
+from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, words_of
+from nmt_diagnose.law.responding_record import RespondingRecords, moving
+from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
+
+_PLACES = 3  # at which more than one block is looked for
+
+
+def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
+    """The law of the force that the model lacks where measured forces drive; None without such a record.
+
+    Args:
+        rig: the model as given.
+        observations: the real side.
+    """
+    every = RespondingRecords.at_places(rig, observations)
+    if not every:
+        return None
+    searches = [RecordSearch(records) for records in moving(every)]
+    if not searches:
+        name = " and ".join(record.test.name for record in every[0].records)
+        why = "the channels of the record tell the motion of no place; put a sensor where the force may act"
+        return LawReading(name, every[0].count, (), math.nan, math.nan, math.nan, math.nan, (why,), True)
+    lacking = [search for search in searches if search.null.score >= THRESHOLDS.law.least_null_score]
+    if not lacking:
+        return reading_of(rig, searches[0], [])
+    singles = [(search, search.singles()) for search in lacking]
+    singles = sorted(((s, laws) for s, laws in singles if laws), key=lambda one: one[1][0].score)
+    if not singles:
+        return reading_of(rig, lacking[0], [])
+    tried: list[tuple[RecordSearch, list[RecordLaw], RecordLaw]] = []
+    near = THRESHOLDS.law.place_score_ratio * max(singles[0][1][0].score, singles[0][0].records.enough)
+    for search, laws in [one for one in singles if one[1][0].score <= near][:_PLACES]:
+        found = search.found() or laws
+        tried.append((search, found, search.fewest(found)))
+    least = THRESHOLDS.law.alike_score_ratio * min(best.score for _, _, best in tried)
+    search, laws, best = min(
+        (one for one in tried if one[2].score <= least), key=lambda one: (len(one[2].terms), one[2].score)
+    )
+    everywhere = [(s.records, found) for s, found, _ in tried] + [
+        (s.records, found) for s, found in singles[len(tried) :]
+    ]
+
+    def other_places(words: str) -> tuple[str, ...]:
+        return tuple(
+            _name(records.place)
+            for records, found in everywhere
+            if records is not search.records
+            and any(nearly_as_well(law.score, best.score) and words_of(records, law) == words for law in found)
+        )
+
+    return reading_of(rig, search, laws, other_places)
+
+
+def _name(place: tuple[int, int]) -> str:
+    point, other = place
+    return f"{point}-{other}" if other else f"{point}"

@@ -1,0 +1,255 @@
+"""Rows of masses that a measured force drives, with a missing force at one place, by average acceleration.
+
+Newmark's rule with the missing force solved for at the end of each step, twenty steps to a sample: stiff friction is as
+stable as a spring. Nothing here comes from the bench.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numba import njit
+
+Array = np.ndarray
+RATE, SECONDS, STEPS = 250.0, 32.0, 20
+FRICTION, SLIDER, BACKLASH, DAHL, LUGRE, POWER, CUBE, GAP, STOP, COGGING, STRIBECK, SOFT = range(12)
+
+
+@njit(cache=True)
+def force_of(kind: int, x: float, v: float, a: float, b: float, before: float, step: float) -> tuple[float, float]:
+    """Force of a law of unit size and its memory after a step; a, b are its numbers."""
+    if kind == FRICTION:
+        return math.tanh(v / a), before
+    if kind in (SLIDER, BACKLASH):
+        anchor = min(max(before, x - a), x + a)
+        z = x - anchor
+        if kind == SLIDER:
+            return z / a, anchor
+        return math.copysign(max(abs(z) - b * a, 0.0), z) / (a * (1.0 - b)), anchor
+    if kind in (DAHL, LUGRE):
+        reach = a if kind == DAHL else a * (0.5 + 0.5 * math.exp(-((v / b) ** 2)))
+        z = (before + step * v) / (1.0 + step * abs(v) / reach)
+        return z / a, z
+    if kind == POWER:
+        return math.copysign(abs(v / a) ** b, v), before
+    if kind == CUBE:
+        return b * (x / a) ** 3, before
+    if kind == GAP:
+        return math.copysign(max(abs(x) - a, 0.0), x) / (b - a), before
+    if kind == STOP:
+        return max(x - a, 0.0) / (b - a), before
+    if kind == COGGING:
+        return math.cos(2.0 * math.pi * (x / a + b)), before
+    if kind == STRIBECK:
+        return math.tanh(v / a) * (0.5 + 0.5 * math.exp(-((v / b) ** 2))), before
+    return v / math.hypot(v, a), before
+
+
+@njit(cache=True)
+def missing_force(kinds: Array, numbers: Array, memory: Array, after: Array, x: float, v: float, step: float) -> float:
+    """Sum of some laws; numbers are their sizes and two numbers each."""
+    total = 0.0
+    for k in range(kinds.size):
+        value, after[k] = force_of(kinds[k], x, v, numbers[k, 1], numbers[k, 2], memory[k], step)
+        total += numbers[k, 0] * value
+    return total
+
+
+@njit(cache=True)
+def integrated(
+    m: Array, c: Array, k: Array, at: Array, drive: Array, kinds: Array, numbers: Array, step: float, every: int
+) -> tuple[Array, Array, Array, Array]:
+    """Displacements, speeds and accelerations (samples, n) and the missing force at every so many steps."""
+    n, count = m.shape[0], drive.size
+    left = np.linalg.inv(m + 0.5 * step * c + 0.25 * step**2 * k)
+    pushed = left @ at
+    q, rate = np.zeros(n), np.zeros(n)
+    memory, after = np.zeros(kinds.size), np.zeros(kinds.size)
+    first = np.zeros(n)
+    first[0] = drive[0]
+    acceleration = np.linalg.inv(m) @ first
+    samples = (count + every - 1) // every
+    found_q, found_v, found_a = np.zeros((samples, n)), np.zeros((samples, n)), np.zeros((samples, n))
+    found_g = np.zeros(samples)
+    size = numbers[:, 0].sum() + 1e-30
+    for number in range(count):
+        if number > 0:
+            go_q = q + step * rate + 0.25 * step**2 * acceleration
+            go_v = rate + 0.5 * step * acceleration
+            right = -(c @ go_v) - k @ go_q
+            right[0] += drive[number]
+            free = left @ right
+            low, high = -1e4 * size, 1e4 * size
+            # Of the residual g − law(x(g), v(g)): it grows with g.
+            g = 0.0
+            below, above = low, high
+            for turn in range(200):
+                a = free - pushed * g
+                x = at @ (go_q + 0.25 * step**2 * a)
+                v = at @ (go_v + 0.5 * step * a)
+                law = missing_force(kinds, numbers, memory, after, x, v, step)
+                if abs(g - law) <= 1e-10 * size:
+                    break
+                if g > law:
+                    high = g
+                    above = g - law
+                else:
+                    low = g
+                    below = g - law
+                if turn % 3 == 2 or high - low > 100.0 * size:
+                    g = law if low < law < high and turn < 2 else 0.5 * (low + high)
+                else:
+                    g = low - below * (high - low) / (above - below)
+            acceleration = free - pushed * g
+            q = go_q + 0.25 * step**2 * acceleration
+            rate = go_v + 0.5 * step * acceleration
+            for i in range(kinds.size):
+                memory[i] = after[i]
+        else:
+            g = 0.0
+        if number % every == 0:
+            place = number // every
+            found_q[place], found_v[place], found_a[place], found_g[place] = q, rate, acceleration, g
+    return found_q, found_v, found_a, found_g
+
+
+@dataclass(frozen=True)
+class Law:
+    """Families and terms: kind, and its two numbers from largest displacement, largest speed and a random number."""
+
+    families: tuple[str, ...]
+    terms: tuple[tuple[int, Any], ...]
+
+
+SLID, DRY, WEAK = "friction of a slider behind a spring", "dry friction", "dry friction that weakens with speed"
+PINCHED, DRAG, CLEARANCE = "friction with pinched loops", "damping that grows with speed", "clearance"
+ENDS, HARD = "stop on one side", "hardening spring"
+LIBRARY = {
+    "friction": Law((DRY,), ((FRICTION, lambda a, s, r: (s * (0.003 + 0.017 * r), 0.0)),)),
+    "slider": Law((SLID,), ((SLIDER, lambda a, s, r: (a * (0.03 + 0.25 * r), 0.0)),)),
+    "backlash": Law((PINCHED,), ((BACKLASH, lambda a, s, r: (a * (0.05 + 0.2 * r), 0.3 + 0.4 * r)),)),
+    "dahl": Law((SLID,), ((DAHL, lambda a, s, r: (a * (0.03 + 0.17 * r), 0.0)),)),
+    "drag": Law((DRAG,), ((POWER, lambda a, s, r: (s, 2.0)),)),
+    "cubic": Law((HARD,), ((CUBE, lambda a, s, r: (a, 1.0)),)),
+    "clearance": Law((CLEARANCE,), ((GAP, lambda a, s, r: (a * (0.3 + 0.4 * r), a)),)),
+    "stop": Law((ENDS,), ((STOP, lambda a, s, r: (a * (0.2 + 0.4 * r), a)),)),
+    "cogging": Law(("cogging",), ((COGGING, lambda a, s, r: (a * (0.2 + 0.8 * r), r)),)),
+    "friction and drag": Law(
+        (DRY, DRAG), ((FRICTION, lambda a, s, r: (0.01 * s, 0.0)), (POWER, lambda a, s, r: (s, 2.0)))
+    ),
+    "slider and stop": Law(
+        (SLID, ENDS), ((SLIDER, lambda a, s, r: (0.1 * a, 0.0)), (STOP, lambda a, s, r: (0.4 * a, a)))
+    ),
+}
+OUTSIDE = {
+    "Stribeck": Law((WEAK,), ((STRIBECK, lambda a, s, r: (0.005 * s, 0.15 * s)),)),
+    "LuGre": Law((WEAK,), ((LUGRE, lambda a, s, r: (0.05 * a, 0.2 * s)),)),
+    "power of speed": Law((DRAG,), ((POWER, lambda a, s, r: (s, 1.4 + 0.4 * r)),)),
+    "softening": Law(("softening spring",), ((CUBE, lambda a, s, r: (a, -0.5)),)),
+    "soft friction": Law((DRY,), ((SOFT, lambda a, s, r: (0.02 * s, 0.0)),)),
+}
+
+
+def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
+    """One case: rig file, record, sidecar and truth."""
+    random = np.random.default_rng(seed)
+    count = int(random.integers(1, 5))
+    masses = 10.0 ** random.uniform(-0.7, 0.7) * random.uniform(0.6, 1.4, count)
+    slowest = 2.0 * math.pi * random.uniform(1.5, 5.0)
+    springs = float(masses.mean()) * slowest**2 * random.uniform(2.0, 5.0, count - 1)
+    ground = np.zeros(count)
+    ground[0] = float(masses.sum()) * slowest**2 * random.uniform(1.0, 2.0)
+    dampers = 2.0 * random.uniform(0.01, 0.03) * np.sqrt(springs * masses[: count - 1])
+    ground_damper = 2.0 * random.uniform(0.01, 0.04) * math.sqrt(ground[0] * masses.sum())
+    place = (int(random.integers(1, count + 1)), 0)
+    if count > 1 and random.random() < 0.4:
+        lower = int(random.integers(1, count))
+        place = (lower + 1, lower)
+    bare = random.random() < 0.2 and count > 1
+    k, c = (np.zeros((count, count)) for _ in range(2))
+    for matrix, between, first in ((k, springs, ground[0]), (c, dampers, ground_damper)):
+        matrix[0, 0] += first
+        for i, value in enumerate(between):
+            matrix[i : i + 2, i : i + 2] += value * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    at = np.zeros(count)
+    at[place[0] - 1] = 1.0
+    if place[1]:
+        at[place[1] - 1] = -1.0
+    time_s = np.arange(int(RATE * SECONDS) * STEPS) / (RATE * STEPS)
+    natural = np.sqrt(np.linalg.eigvals(np.linalg.solve(np.diag(masses), k)).real) / (2.0 * math.pi)
+    drive = np.zeros_like(time_s)
+    for frequency in natural:
+        turns = frequency * (random.uniform(0.8, 1.2) * time_s + random.uniform(0.02, 0.1) * np.sin(0.5 * time_s))
+        drive += random.uniform(0.5, 1.0) * np.sin(2.0 * math.pi * turns + random.uniform(0.0, 6.3))
+    drive *= 10.0 ** random.uniform(-1.0, 1.0) * (0.4 + 0.6 * time_s / SECONDS)
+    kinds, numbers, families = np.zeros(0, np.int64), np.zeros((0, 3)), ()
+    exact = (np.diag(masses), c, k, at, drive)
+    q, v, acceleration, missing = integrated(*exact, kinds, numbers, 1.0 / (RATE * STEPS), STEPS)
+    share, chosen = random.uniform(0.2, 0.8), float(random.random())
+    if group != "healthy":
+        table = LIBRARY if group == "library" else OUTSIDE
+        law = table[sorted(table)[int(random.integers(len(table)))]]
+        families = law.families
+        kinds = np.array([kind for kind, _ in law.terms])
+        # The law changes the motion that its numbers are shares of.
+        for _ in range(3):
+            a, s = float(np.abs(q @ at).max()), float(np.abs(v @ at).max())
+            size = share * float(np.std(drive)) / len(kinds)
+            rows = [(size * (2.0 if kind in (POWER, CUBE, GAP, STOP) else 1.0), *term(a, s, chosen))
+                    for kind, term in law.terms]  # fmt: skip
+            numbers = np.array(rows, dtype=float)
+            q, v, acceleration, missing = integrated(*exact, kinds, numbers, 1.0 / (RATE * STEPS), STEPS)
+    force = drive[::STEPS] * (1.0 + 0.004 * random.standard_normal())
+    columns = {"f": force + noise * float(np.std(force)) * random.standard_normal(force.size)}
+    channels = [("f", "force", "N", 1)]
+    quantities = {"displacement": (q, "m"), "acceleration": (acceleration, "m/s^2"), "velocity": (v, "m/s")}
+    quantity = ("displacement", "displacement", "acceleration", "velocity")[int(random.integers(4))]
+    hidden = place[0] if bare else 0
+    for point in range(1, count + 1):
+        if point == hidden:
+            continue
+        values, unit = quantities[quantity]
+        values = values[:, point - 1]
+        columns[f"y{point}"] = values + 3e-4 * float(np.std(values)) * random.standard_normal(values.size)
+        channels.append((f"y{point}", quantity, unit, point))
+    folder.mkdir(parents=True)
+    np.savez(folder / "data.npz", **columns)
+    off = 1.0 + 0.003 * random.standard_normal(4)
+    chain = {
+        "kind": "chain", "masses_kg": list(masses * off[0]), "springs_n_m": list(springs * off[1]),
+        "dampers_ns_m": list(dampers), "ground_springs_n_m": list(ground * off[2]),
+        "ground_dampers_ns_m": [ground_damper, *[0.0] * (count - 1)],
+    }  # fmt: skip
+    sensors = [{"quantity": what, "point": point} for _, what, _, point in channels[1:]]
+    model = {
+        "name": "driven", "sample_rate_hz": RATE, "structure": chain, "exciter": {"kind": "force", "point": 1},
+        "sensors": [{"quantity": "force", "point": "drive"}, *sensors],
+        "extraction": {"quantity": quantity, "linear_modes": 1},
+    }  # fmt: skip
+    text = yaml.safe_dump(_plain(model))
+    (folder / "model.yaml").write_text(text, encoding="utf-8")
+    sidecar = {
+        "rig": "model.yaml", "sample_rate": RATE, "file": "data.npz",
+        "channels": [{"column": c, "quantity": w, "unit": u, "point": p} for c, w, u, p in channels],
+        "segments": [{"kind": "record", "start": 0.0, "stop": SECONDS, "held": "force"}],
+    }  # fmt: skip
+    (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar), encoding="utf-8")
+    np.savez(folder / "truth.npz", x=q @ at, v=v @ at, missing=missing, channel=np.zeros(force.size))
+    truth = {
+        "group": group, "families": list(families), "seed": seed, "place": f"{place[0]}-{place[1]}" if place[1] else
+        f"{place[0]}", "bare": bool(hidden), "masses": count, "quantity": quantity,
+    }  # fmt: skip
+    (folder / "truth.yaml").write_text(yaml.safe_dump(truth), encoding="utf-8")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    return float(value) if isinstance(value, np.floating) else value

@@ -48,7 +48,7 @@ def build_workspace(state: dict[str, Any], runner: StepRunner) -> None:
         "--cmake-args",
         f"-DPython3_EXECUTABLE={VENV_PYTHON}",
         "-DBUILD_TESTING=OFF",
-        f"-DNMT_MSGS_ALL={'OFF' if state['source'] == 'wheels' else 'ON'}",
+        f"-DNMT_MSGS_CPP={'OFF' if state['source'] == 'wheels' else 'ON'}",
         "--no-warn-unused-cli",
     ]
 

@@ -270,8 +270,8 @@ def test_killed_launcher_leaves_its_lock_to_the_program_it_started(project):
             os.killpg(child, signal.SIGKILL)
 
 
-@pytest.mark.parametrize(("source", "every"), [("wheels", "OFF"), ("system", "ON")])
-def test_messages_have_only_what_python_loads_where_ros_comes_from_wheels(project, source, every):
+@pytest.mark.parametrize(("source", "cpp"), [("wheels", "OFF"), ("system", "ON")])
+def test_messages_have_no_cpp_part_where_ros_comes_from_wheels(project, source, cpp):
     asked = []
 
     class Runner:
@@ -282,4 +282,4 @@ def test_messages_have_only_what_python_loads_where_ros_comes_from_wheels(projec
     project.launcher.set_up.set_up(None)
     with pytest.raises(KeyboardInterrupt):
         project.launcher.workspace.build_workspace({"source": source, "python": "3.11"}, Runner())
-    assert f"-DNMT_MSGS_ALL={every}" in asked
+    assert f"-DNMT_MSGS_CPP={cpp}" in asked

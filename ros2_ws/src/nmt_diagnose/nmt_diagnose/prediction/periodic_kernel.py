@@ -568,6 +568,29 @@ def resting_response(
 
 
 @njit(cache=True)
+def resting_angles(
+    omegas: FloatArray, stiffness: FloatArray, damping: FloatArray, drive: ComplexArray, rig: RigTables,
+    closing: Closing, phase: float,
+) -> FloatArray:  # fmt: skip
+    """Angle of the phase condition, rad (k,), of the system linearised at rest.
+
+    Args:
+        omegas: angular frequencies, rad/s (k,).
+        stiffness, damping, drive, rig: as for `resting_response`.
+        closing: channels and power of the condition.
+        phase: that is wanted, rad.
+    """
+    angles = np.empty(omegas.size)
+    for k in range(omegas.size):
+        s = 1j * omegas[k]
+        channels = resting_response(s, stiffness, damping, drive, rig)[1]
+        force = channels[closing.force] * sensor_gain(s, rig.channels[closing.force])[0]
+        response = channels[closing.response] * sensor_gain(s, rig.channels[closing.response])[0]
+        angles[k] = np.angle(force * np.conj(response) * np.exp(-1j * (0.5 * np.pi * closing.power + phase)))
+    return angles
+
+
+@njit(cache=True)
 def stepped(
     z: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, rig: RigTables
 ) -> tuple[FloatArray, ComplexArray]:

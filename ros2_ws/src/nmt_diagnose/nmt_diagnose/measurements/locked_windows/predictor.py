@@ -30,6 +30,7 @@ from nmt_diagnose.prediction.periodic_kernel import (
     evaluate,
     inverted,
     newton,
+    resting_angles,
     resting_response,
     scales,
     stepped,
@@ -285,8 +286,7 @@ class PeriodicLevels(Predictor):
             far = THRESHOLDS.reading.wrong_frequency_ratio
             omega = self._linear_resonance(parts, level, drive, measured * np.geomspace(1.0 / far, far, 641))
         omega = measured if omega is None else omega
-        solution = self._linear(parts, level, omega, drive)
-        w, channels = solution[0], solution[2]
+        w, channels = self._linear(parts, omega, drive)
         if not held_channel:
             index = self._force if level.held_channel == FORCE_HELD else self._own[level.held_channel]
             size = abs(channels[index])
@@ -303,7 +303,8 @@ class PeriodicLevels(Predictor):
         self, parts: RigParts, level: LevelProblem, drive: ComplexArray, grid: FloatArray
     ) -> float | None:
         """Phase resonance at rest on a grid of angular frequencies, nearest to what was measured; None = none."""
-        angles = np.array([self._linear(parts, level, omega, drive)[1] for omega in grid])
+        closing = Closing(LOCKED, DRIVE_HELD, self._force, self._response, self.power)
+        angles = resting_angles(grid, *parts.resting, drive, parts.kernel_tables, closing, level.phase)
         # Phase resonance is where the angle rises through zero; it falls at antiresonances and jumps at nodes.
         rises = np.flatnonzero((angles[:-1] < 0.0) & (angles[1:] >= 0.0) & (np.diff(angles) < 2.0))
         if not rises.size:
@@ -312,15 +313,11 @@ class PeriodicLevels(Predictor):
         measured = 2.0 * np.pi * level.frequency_hz * parts.clock
         return float(crossings[np.argmin(np.abs(crossings - measured))])
 
-    def _linear(
-        self, parts: RigParts, level: LevelProblem, omega: float, drive: ComplexArray
-    ) -> tuple[ComplexArray, float, ComplexArray]:
-        """Local displacements (r,) of the linearised system, angle of the phase condition (rad), channels (c,)."""
+    def _linear(self, parts: RigParts, omega: float, drive: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Local displacements (r,) and channels (c,) of the linearised system."""
         s = 1j * omega
         w, outputs = resting_response(s, *parts.resting, drive, parts.kernel_tables)
-        channels = channel_gains(s, parts.channels) * outputs
-        turn = np.exp(-1j * (0.5 * np.pi * self.power + level.phase))
-        return w, float(np.angle(channels[self._force] * np.conj(channels[self._response]) * turn)), channels
+        return w, channel_gains(s, parts.channels) * outputs
 
     def local_amplitudes(self, parts: RigParts, state: PeriodicState) -> ComplexArray:
         """Forces g of all coordinates (r, n_orders)."""

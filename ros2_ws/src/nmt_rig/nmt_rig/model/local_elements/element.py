@@ -20,9 +20,11 @@ Where the force is linear between its corners, harmonic balance switches it exac
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -73,7 +75,7 @@ class LocalElement:
 
     def __post_init__(self) -> None:
         for name, value in zip(self.parameter_names(), self.values, strict=True):
-            if not np.isfinite(value):
+            if not math.isfinite(value):
                 raise ValueError(f"{type(self).__name__}: {name} must be finite, got {value}")
             if name in self.must_be_positive and not value > 0:
                 raise ValueError(f"{type(self).__name__}: {name} must be positive, got {value}")
@@ -81,9 +83,10 @@ class LocalElement:
                 raise ValueError(f"{type(self).__name__}: {name} must not be negative, got {value}")
 
     @classmethod
-    def parameter_names(cls) -> list[str]:
+    @cache
+    def parameter_names(cls) -> tuple[str, ...]:
         """Names of the parameters, in the order of the class."""
-        return [entry.name for entry in fields(cls) if entry.name != "direction"]
+        return tuple(entry.name for entry in fields(cls) if entry.name != "direction")
 
     @property
     def values(self) -> list[float]:
@@ -133,7 +136,7 @@ class LocalElement:
     def with_slip_force(self, factor: float) -> LocalElement:
         """The same element with a slip force, if it has one, times a factor."""
         slip = getattr(self, "slip_force", None)
-        return self if slip is None else replace(self, slip_force=factor * slip)  # type: ignore[call-arg]
+        return self if slip is None or factor == 1.0 else replace(self, slip_force=factor * slip)  # type: ignore[call-arg]
 
 
 class ElementSection(Section):

@@ -12,6 +12,7 @@ from diagnose.test_imposed_motion import bag_of, diagnosed, record, rig_of
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.law.driven_law import read_driven_law
 from nmt_diagnose.law.reading import LawReading
+from nmt_diagnose.law.record_search import RecordSearch
 from nmt_diagnose.law.responding_record import DrivenBasis, RespondingRecord, RespondingRecords, moving
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.ledger.diagnosis import Verdict
@@ -127,6 +128,37 @@ def test_a_column_is_what_a_little_of_its_element_makes_of_the_motion(tmp_path: 
         for channel in range(3):
             some = streams == channel
             assert np.std(part[some] - truth[some]) < 0.02 * np.std(truth[some])
+
+
+def test_several_records_of_one_rig_have_one_law(tmp_path: Path) -> None:
+    """Each with its own beginning; parts of both stand for levels."""
+    (first := tmp_path / "first").mkdir()
+    (second := tmp_path / "second").mkdir()
+    more, rig = element("hardening spring", "point: 3"), rig_of(tmp_path, TEXT)
+    bags = [bag(first, more), bag(second, more, (0, 2), seed=2)]
+    reading = read_driven_law(rig, read_observations(bags, rig))
+    assert reading is not None
+    assert reading.is_stated
+    assert " and " in reading.test
+    (law,) = reading.laws
+    assert (law.family, law.place) == ("hardening spring", "3")
+    assert law.terms[0].coefficient == pytest.approx(3e6, rel=0.05)
+
+
+def test_gains_do_not_take_off_the_motion_where_no_law_is(tmp_path: Path) -> None:
+    """Channels by a gain and the force by another take off every row: without a law both stay ordinary."""
+    rig = rig_of(tmp_path, TEXT)
+    (records, *_) = RespondingRecords.at_places(
+        rig, read_observations([bag(tmp_path, element("hardening spring", "point: 3"))], rig)
+    )
+    search = RecordSearch(records)
+    pulls = {
+        name: abs(value)
+        for name, value in zip(records.names, search.null.fit.nuisance / search.worth, strict=True)
+        if name not in records.free
+    }
+    assert max(pulls.values()) < 3.1
+    assert search.null.score > 10.0
 
 
 def test_a_place_whose_motion_no_channel_tells_is_not_named(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ from nmt_diagnose.prediction.rig_tables import GAIN
 _WALKS = 10.0 ** np.arange(-4.0, 0.75, 0.75)  # of the unknown force from sample to sample, over the measured force
 _ELSEWHERE = 0.003  # forces at other places over the measured one: what no model has
 _READ_OFF = 1e-3  # noise of a channel over its size, at least
-_FORGOTTEN_S = 20.0  # periods of the slowest mode in which the walk comes back: sensors of motion tell no mean
+_FORGOTTEN = 2.0  # periods of the slowest motion in which the walk comes back: accelerometers tell no slow force
 _HEAD = 400  # samples that the state at the beginning is read off
 _DOUBLINGS = 40
 
@@ -214,7 +214,7 @@ def unknown_motion(
     turn = np.block([[np.diag(decay.real), -np.diag(decay.imag)], [np.diag(decay.imag), np.diag(decay.real)]])
     chosen = list(inputs)
     states, unknown = turn.shape[0], len(chosen)
-    kept = np.exp(-2.0 * np.pi * slowest_hz / _FORGOTTEN_S / plant.rate)
+    kept = np.exp(-2.0 * np.pi * slowest_hz / _FORGOTTEN / plant.rate)
     a = np.zeros((states + unknown, states + unknown))
     a[:states, :states], a[:states, states:] = turn, every[:, chosen] * force_size
     a[states:, states:] = kept * np.eye(unknown)

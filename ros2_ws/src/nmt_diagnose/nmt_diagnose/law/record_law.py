@@ -122,12 +122,18 @@ def reading_of(
     best = search.fewest(tried)
     if not best.terms:
         return reading("no local force explains it")
+    pulled = search.pulled(best)
+    if pulled:
+        # It needs them where without them it leaves more than tolerances, or more than a law has to fall by.
+        within = search.ordinary(best.blocks)
+        enough = max(limits.least_null_score, limits.alike_score_ratio * best.score)
+        if within.acts and within.score <= enough:
+            best, pulled = within, []
     top = [records.count - 2, records.count - 1]
     above = closed_share(
         search.problem.predicted(records.columns([]), signed([]), top),
         search.problem.predicted(records.columns([t for b in best.blocks for t in b.terms]), signed(best.blocks), top),
     )
-    pulled = search.pulled(best)
     why = ""
     if best.score > limits.told_score_ratio * before:
         why = f"with it {100.0 * best.score / before:.0f} % of the misfit stay; half is asked for"

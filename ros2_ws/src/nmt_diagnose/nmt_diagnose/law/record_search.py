@@ -32,7 +32,7 @@ _STEP = 1e-3  # of a parameter, for differences
 _SHORTENED = 3  # of as many terms that are judged
 _THIN = 8  # of a family that are tried where places are compared
 _TIGHTENED = 30  # rounds in which errors without a law come to be ordinary ones
-_BEYOND = 1.05
+_WITHIN = 0.98
 _REFINED = 6  # families that are refined beside each
 
 
@@ -89,21 +89,31 @@ class RecordSearch:
         """The law, none at first, with its rows counted as what it leaves is worth.
 
         What neighbours leave alike counts once, and what is left beyond the stated noise is noise, too. Thousands of
-        samples of a wrong law would otherwise bend chain and model by tens of their standard deviations.
+        samples of a wrong law would otherwise bend chain and model by tens of their standard deviations. Without a law
+        nothing keeps gains from taking off all of motion and force: errors stay ordinary there.
         """
         worth = 1.0 if law is None else self._scale(law)
         self.worth = np.where(self._free, 1.0, worth)
-        blocks = () if law is None else law.blocks
+        if law is None or not law.blocks:
+            return self.ordinary(())
+        self._count()
+        return self.law(law.blocks)
+
+    def _count(self) -> None:
+        """The problem with errors that count as they are worth."""
         inner = list(range(1, self.records.count - 1))
-        most = 0.0 if blocks else THRESHOLDS.law.pull_sigmas
+        self.problem = ConvexFit(self._missing, self._errors / self.worth, inner, self.records.names)
+
+    def ordinary(self, blocks: Sequence[Block]) -> RecordLaw:
+        """Blocks with their fit where no error is beyond what is ordinary: the further it is the more it counts."""
+        most = THRESHOLDS.law.pull_sigmas
         for _ in range(_TIGHTENED):
-            self.problem = ConvexFit(self._missing, self._errors / self.worth, inner, self.records.names)
+            self._count()
             found = self.law(blocks)
             pulls = np.where(self._free, 0.0, np.abs(found.fit.nuisance / self.worth))
-            # Without a law nothing keeps gains from taking off all of motion and force.
-            if blocks or not np.any(pulls > _BEYOND * most):
+            if not np.any(pulls > most):
                 break
-            self.worth = self.worth * np.maximum(pulls / most, 1.0) ** 0.75
+            self.worth = self.worth * np.maximum(pulls / (_WITHIN * most), 1.0) ** 0.75
         return found
 
     def _scale(self, law: RecordLaw) -> float:
@@ -122,7 +132,8 @@ class RecordSearch:
     def singles(self) -> list[RecordLaw]:
         """Laws of one block of the families that fit best, of a few of each: what a place is worth, the best first."""
         every = blocks_of_records(self.records.x, self.records.v).values()
-        families = [members[:: max(1, len(members) // _THIN)] for members in every]
+        # A wave is met or it is not: of cogging half are tried.
+        families = [m[:: 2 if m[0].terms[0].kind == "cogging" else max(1, len(m) // _THIN)] for m in every]
         laws = [law for law in self._beside(self.null, families) if law.terms]
         return sorted(laws, key=lambda law: law.score)
 
@@ -134,8 +145,8 @@ class RecordSearch:
             grown = [(one, law) for one in kept for law in self._beside(one, list(families.values()))]
             others = sorted((law for _, law in grown), key=lambda law: law.score)
             # A block is told beside those that it stands with, not beside another law.
-            better = sorted((law for one, law in grown if law.score * ratio <= one.score), key=lambda law: law.score)
-            if not better or kept[0].score <= self.records.enough:
+            better = sorted((law for one, law in grown if law.score * self._asked(one) <= one.score), key=_score)
+            if not better or kept[0].score <= THRESHOLDS.law.second_from_score:
                 return result or others
             near = [law for law in better[1:] if law.score <= better[0].score * ratio]
             # What is gone on from is the best law and the shortest that is alike.
@@ -144,6 +155,11 @@ class RecordSearch:
             result += kept + [law for law in others if all(law is not other for other in goes_on)]
             kept = [self._weighed(kept[0]), *(self.law(law.blocks) for law in kept[1:])]
         return result
+
+    def _asked(self, law: RecordLaw) -> float:
+        """By how much a score has to fall by one block more."""
+        limits = THRESHOLDS.law
+        return limits.alike_score_ratio if law.score > self.records.enough else 1.0 / limits.clear_score_ratio
 
     def _beside(self, law: RecordLaw, families: Sequence[Sequence[Block]]) -> list[RecordLaw]:
         """The best block of the families that fit best beside a law, each with it."""
@@ -292,6 +308,10 @@ class RecordSearch:
             if laws:
                 return min(laws, key=lambda law: (len(law.terms), law.score))
         return None
+
+
+def _score(law: RecordLaw) -> float:
+    return law.score
 
 
 def in_shape(path: Sequence[RecordLaw], words: Sequence[str]) -> RecordLaw:

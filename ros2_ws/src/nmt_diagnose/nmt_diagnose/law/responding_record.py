@@ -9,7 +9,7 @@ along the measured motion, too, and the state in which the record begins is free
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -50,7 +50,7 @@ from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import ChainSection, Rig
 from nmt_signals.band_limited import finer
 
-_STEPS = 40000  # of a record, at most: finer ones where it is short
+_STEPS = 20000  # of a record, at most: finer ones where it is short
 _PADDING_SAMPLES = 512
 _NOISE = 1e-4  # of a channel over its size, at least
 _LEAST_START = 1e-3  # of a free motion over the largest of its channel, from which on it is seen
@@ -214,16 +214,25 @@ class RespondingRecord:
     _pieces: tuple[IntArray, ...] = field(repr=False, default=())
 
     @classmethod
-    def of(cls, basis: DrivenBasis, place: int, parts: int) -> RespondingRecord:
+    def of(cls, basis: DrivenBasis, place: int, parts: int, force: FloatArray | None = None) -> RespondingRecord:
         """The record with the motion of a place by its number.
 
         Args:
             basis: of the record.
             place: its number.
             parts: number of parts.
+            force: of a law that was read there, at the steps, N, (n,): what is unknown is beside it; None = nothing.
         """
         plant = basis.plant
         row = plant.parts.coordinates + place
+        shared, law = basis, np.zeros(basis.measured.shape[1])
+        if force is not None:
+            x, v, poles = plant.motion_under(row, -force)
+            law = force[:: plant.stride][: law.size]
+            basis = replace(
+                basis, under=basis.under + np.array([x, v]), poles=basis.poles + poles,
+                answered=basis.answered + plant.answer(row, -force, plant.stride * np.arange(law.size)),
+            )  # fmt: skip
         inputs = (row, *(k for k in basis.nonlinear if not _parallel(plant.directions[:, k], plant.directions[:, row])))
         unknown = unknown_motion(
             plant, inputs, basis.measured - basis.answered, basis.noise, float(np.std(basis.force)), basis.slowest_hz
@@ -239,14 +248,14 @@ class RespondingRecord:
             return tuple(part.ravel() for part in np.split(values, ends, axis=1))
 
         local = _local_forces(basis, plant.parts, motion)
-        missing = basis.measured[:, basis.at] - basis.answered[:, basis.at]
+        missing = basis.measured[:, basis.at] - shared.answered[:, basis.at]
         for k in basis.nonlinear:
             stiffness, damping = (values[k] for values in plant.parts.resting)
             beyond = local[k] - stiffness * motion[0, k] - damping * motion[1, k]
             missing = missing + plant.answer(k, beyond, plant.stride * basis.at)
-        errors, free = _errors(basis, unknown, motion, local)
+        errors, free = _errors(basis, shared.answered, unknown, motion, local, (row, -law))
         return cls(
-            basis, place, x[np.newaxis], v[np.newaxis], unknown.x_std, (-unknown.force, unknown.force_std),
+            shared, place, x[np.newaxis], v[np.newaxis], unknown.x_std, (law - unknown.force, unknown.force_std),
             tuple(np.tile(plant.stride * piece, count) for piece in pieces),
             tuple(np.repeat(np.arange(count), piece.size) for piece in pieces),
             split(missing), split(np.repeat(basis.sigma[:, np.newaxis], basis.at.size, axis=1)),
@@ -366,7 +375,12 @@ def _forces_along(
 
 
 def _errors(
-    basis: DrivenBasis, unknown: UnknownMotion, motion: FloatArray, local: FloatArray
+    basis: DrivenBasis,
+    answered: FloatArray,
+    unknown: UnknownMotion,
+    motion: FloatArray,
+    local: FloatArray,
+    law: tuple[int, FloatArray],
 ) -> tuple[dict[str, FloatArray], frozenset[str]]:
     """What a standard deviation of each error adds to the channels at the rows, (c, T), and those that are free."""
     test, at, chain = basis.test, basis.at, basis.chain
@@ -389,12 +403,12 @@ def _errors(
         found[f"{DELAY} {channel.name} in {test.name}"] = alone(number, HALF_A_SAMPLE * np.gradient(row))
     if chain is not None:
         gain = chain.of(test.input_channel.name).gain
-        found[f"gain of {test.input_channel.name} in {test.name}"] = gain * basis.answered[:, at]
+        found[f"gain of {test.input_channel.name} in {test.name}"] = gain * answered[:, at]
     for number, values in enumerate(_free_motions(basis)):
         name = f"start {number} of {test.name}"
         found[name] = values
         free.add(name)
-    for name, values in _of_parameters(basis, unknown, motion, local).items():
+    for name, values in _of_parameters(basis, unknown, motion, local, law).items():
         if np.any(values):
             found[name] = values
     return found, frozenset(free)
@@ -420,7 +434,7 @@ def _free_motions(basis: DrivenBasis) -> list[FloatArray]:
 
 
 def _of_parameters(
-    basis: DrivenBasis, unknown: UnknownMotion, motion: FloatArray, local: FloatArray
+    basis: DrivenBasis, unknown: UnknownMotion, motion: FloatArray, local: FloatArray, law: tuple[int, FloatArray]
 ) -> dict[str, FloatArray]:
     """What the model's parameters add, each off by a standard deviation, along the measured motion, (c, T) each."""
     plant, model = basis.plant, basis.plant.coarse
@@ -430,6 +444,7 @@ def _of_parameters(
     every = (basis.poles + unknown.poles) @ model.outputs[first:].T
     moved = every.real + np.outer(force, model.direct[first:, -1])
     moved += unknown.forces @ model.direct[first:, list(unknown.inputs)].T
+    moved += np.outer(law[1], model.direct[first:, law[0]])
     q, rate, acceleration = np.split(moved, 3, axis=1)
     stiffness, damping = parts.resting
     linear_k, linear_c = (
@@ -488,9 +503,17 @@ class RespondingRecords(SampledRecords[RespondingRecord]):
         record = self.records[0]
         return record.basis.plant.places[record.place]
 
+    def beside(self, forces: Sequence[FloatArray]) -> RespondingRecords:
+        """The records with the motion of the place under the forces of a law that was read there, N, one a record."""
+        found = [
+            RespondingRecord.of(record.basis, record.place, len(record.parts), force)
+            for record, force in zip(self.records, forces, strict=True)
+        ]
+        return RespondingRecords(tuple(found), parts_by_motion(found))
+
     @property
     def enough(self) -> float:
-        """The motion of the place has errors, too: what leaves no more than tolerances gets no law beside it."""
+        """The motion of the place has errors, too, which a law beside another takes for its own."""
         return THRESHOLDS.law.least_null_score
 
 

@@ -137,7 +137,7 @@ class SampledRecords(Generic[R]):
 
     @property
     def enough(self) -> float:
-        """Score of a law beside which none is looked for."""
+        """Score of a law from which down a law beside it must halve what is left."""
         return THRESHOLDS.law.second_from_score
 
     @property

@@ -223,6 +223,8 @@ FOLLOWED = {
     "falling friction": ("current", "A", 0.8 + 0.6 * np.sin(0.8 * TIME), np.tanh(V / 2e-3), (0.2, -0.1)),
     "damping": ("voltage", "V", np.where(TIME < 9.0, 1.0, 4.0), V * np.abs(V), (2.0, 3.0)),
     "slider": ("current", "A", 1.0 + 0.5 * np.sin(0.5 * TIME), None, (20.0, 40.0)),
+    "friction under a load": ("magnitude of current", "A", 3.0 * np.sin(0.8 * TIME), np.tanh(V / 2e-3), (0.05, 0.03)),
+    "friction of a ring": ("magnitude of displacement", "m", X, np.tanh(V / 2e-3), (0.03, 8.0)),
 }
 
 
@@ -231,14 +233,17 @@ def test_a_strength_that_follows_a_channel_is_told_with_it(tmp_path: Path, case:
     """f = (a + b s(t)) g(x, v), with the channel s measured."""
     channel, unit, values, shape, (constant, slope) = FOLLOWED[case]
     shape = jenkins(X, 1.0, 1e-3) if shape is None else shape
-    force = 2e-3 * A + 0.05 * V + 12.0 * X + (constant + slope * values) * shape
+    followed = np.abs(values) if channel.startswith("magnitude") else values
+    force = 2e-3 * A + 0.05 * V + 12.0 * X + (constant + slope * followed) * shape
     force += 1e-3 * np.random.default_rng(4).standard_normal(TIME.size)
     rig = rig_of(tmp_path, TEXT)
-    segment = record(TIME.size, held="response")
-    bag = bag_of(tmp_path, RATE, {"displacement 1": X, "force 1": force, f"{channel} 1": values}, segment, TEXT)
+    columns = {"displacement 1": X, "force 1": force}
+    columns.setdefault(f"{channel.split()[-1]} 1", values)
+    bag = bag_of(tmp_path, RATE, columns, record(TIME.size, held="response"), TEXT)
     reading = law_of(rig, read_observations([bag], rig))
     assert reading is not None
     assert reading.is_stated
+    assert reading.closed_by_file > 0.9
     (law,) = reading.laws
     assert law.family.endswith(f"that follows the {channel}")
     base, following = law.terms

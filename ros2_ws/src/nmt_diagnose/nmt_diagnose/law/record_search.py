@@ -24,6 +24,7 @@ from nmt_diagnose.law.sampled_records import DELAY, HALF_A_SAMPLE, SampledRecord
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.imposed_motion.imposed_motion import POSITION
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.model.local_elements.element import MAGNITUDE_OF
 
 _BLOCKS = 5  # side by side
 _KEPT = 2  # laws that are gone on from
@@ -192,8 +193,12 @@ class RecordSearch:
         for k, block in enumerate(law.blocks):
             for channel in self.records.records[0].channels:
                 low, high = self.records.range_of(channel)
-                if block.by or block.contact or not high > low or (channel == POSITION and block.terms[0].signed):
+                plain = channel.removeprefix(MAGNITUDE_OF)
+                if block.by or block.contact or not high > low or (plain == POSITION and block.terms[0].signed):
                     continue
+                ends = self.records.range_of(plain)
+                if plain != channel and ends[0] * ends[1] >= 0.0:
+                    continue  # where the channel is of one sign its magnitude says the same
                 blocks = [*law.blocks[:k], block.following(channel, 0.5 * (low + high)), *law.blocks[k + 1 :]]
                 blocks[k] = self.refined(blocks[k], [*blocks[:k], *blocks[k + 1 :]])
                 following = self.law(blocks)

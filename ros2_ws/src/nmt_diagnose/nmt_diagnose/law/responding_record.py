@@ -33,6 +33,7 @@ from nmt_diagnose.law.sampled_records import (
     rows_at,
 )
 from nmt_diagnose.law.terms import Term
+from nmt_diagnose.measurements.channel import with_magnitudes
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.driven_record.predictor import substeps_of
 from nmt_diagnose.measurements.driven_record.reading import spread_samples, white_noise
@@ -278,7 +279,7 @@ class RespondingRecord:
         times = np.arange(self.x.shape[1]) / self.rate
         known = np.arange(self.test.input.size) / self.test.sample_rate
         signals = {name: np.interp(times, known, values)[np.newaxis] for name, values in self.test.signals.items()}
-        return {POSITION: self.x, **signals}
+        return with_magnitudes({POSITION: self.x, **signals})
 
     def force(self, term: Term) -> FloatArray:
         """Force of a term of unit strength at all steps, N, (n,); its memory begins as that of the file does."""

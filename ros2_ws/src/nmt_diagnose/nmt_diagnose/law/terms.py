@@ -17,7 +17,7 @@ from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
 from nmt_rig.model.local_elements.attachments import LuGre, SlackSlider
 from nmt_rig.model.local_elements.dampers import LinearDamperSection
-from nmt_rig.model.local_elements.element import ElementSection
+from nmt_rig.model.local_elements.element import MAGNITUDE_OF, ElementSection
 from nmt_rig.model.local_elements.springs import LinearSpringSection
 
 SAMPLES = 512
@@ -104,7 +104,7 @@ class Term:
     def unit(self) -> str:
         """Unit of the coefficient."""
         if self.by:
-            return f"{replace(self, by='').unit}/{Quantity[self.by.split()[0].upper()].unit}"
+            return f"{replace(self, by='').unit}/{Quantity[self.by.removeprefix(MAGNITUDE_OF).split()[0].upper()].unit}"
         if self.section is None or self.form.unit:
             return self.form.unit.format(exponent=f"{self.first:g}")
         return unit_of_key(self.section.own_keys()[0]).translate(_POWERS)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from nmt_core.messages.blocks import Quantity
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import ROTATION_UNITS
+from nmt_rig.model.local_elements.element import MAGNITUDE_OF
 
 
 @dataclass(frozen=True)
@@ -30,3 +35,11 @@ class MeasuredChannel:
     def unit(self) -> str:
         """SI unit."""
         return ROTATION_UNITS.get(self.quantity, self.quantity.unit) if self.turns else self.quantity.unit
+
+
+def with_magnitudes(signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Channels that a strength may follow, by name, each with its magnitude beside it: friction grows with a load of
+    either sign.
+    """
+    plain = {name: values for name, values in signals.items() if not name.startswith(MAGNITUDE_OF)}
+    return plain | {MAGNITUDE_OF + name: np.abs(values) for name, values in plain.items()}

@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.channel import MeasuredChannel, with_magnitudes
 from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
 from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
 from nmt_diagnose.measurements.measurement import Driven
@@ -85,7 +85,7 @@ class DrivenRecord(Driven):
     @property
     def signals(self) -> dict[str, FloatArray]:
         """Measured channels that the strength of a force may follow, at the samples of the input, (n,) each."""
-        return self.followed
+        return with_magnitudes(self.followed)
 
     @classmethod
     def read(cls, bag: BagWindows) -> list[Observations]:

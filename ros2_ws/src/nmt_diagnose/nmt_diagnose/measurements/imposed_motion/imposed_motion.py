@@ -10,7 +10,7 @@ import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.channel import MeasuredChannel, with_magnitudes
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.imposed_motion.predictor import ImposedMotionPredictor
 from nmt_diagnose.observations.observables import Rows
@@ -58,7 +58,7 @@ class ImposedMotion(DrivenRecord):
     @property
     def signals(self) -> dict[str, FloatArray]:
         """Measured channels that the strength of a force may follow; the displacement of the drive point is one."""
-        return {POSITION: self.motion[0], **self.followed}
+        return with_magnitudes({POSITION: self.motion[0], **self.followed})
 
     @classmethod
     def read(cls, bag: BagWindows) -> list[Observations]:

@@ -36,6 +36,8 @@ from nmt_rig.model.structure import Array, Structure
 from nmt_rig.rig_section import Name, Point, Positive, Section
 
 PARAMETER_COUNT = 4
+MAGNITUDE_OF = "magnitude of "
+"""Before the name of a channel whose sign does not count."""
 # Columns of tables of ``sliders`` and of ``contacts``.
 SLIDER_STIFFNESS, SLIDER_SLIP = 0, 1
 CONTACT_STIFFNESS, CONTACT_GAP, CONTACT_SIDE = 0, 1, 2
@@ -154,7 +156,8 @@ class ElementSection(Section):
         rotation: acts on the rotation of a beam's cross-section: N m, rad and their products for N, m and theirs
         valid_to_m: largest displacement (rad with `rotation`) at which its law was identified; left out = not limited
         modulated_by: channel that its strength follows: `current`, `voltage`, `force` or `displacement`, with the name
-            of the sensor behind where a record has several; a record that has it drives the element
+            of the sensor behind where a record has several, and `magnitude of` before it where its sign does not count,
+            as that of a load on friction; a record that has it drives the element
         modulated_at: value of the channel at which the element's keys hold
         modulated_share: change of its strength by a unit of the channel, as a share of that at `modulated_at`
         modulated_value: value of the channel in simulations and in records without it; left out = `modulated_at`
@@ -166,7 +169,9 @@ class ElementSection(Section):
     side: Literal["structure", "exciter"] = "structure"
     rotation: bool = False
     valid_to_m: Positive | None = None
-    modulated_by: Annotated[str, Field(pattern=r"^(current|voltage|force|displacement)( .+)?$")] | None = None
+    modulated_by: (
+        Annotated[str, Field(pattern=rf"^({MAGNITUDE_OF})?(current|voltage|force|displacement)( .+)?$")] | None
+    ) = None
     modulated_at: float = 0.0
     modulated_share: float = 0.0
     modulated_value: float | None = None

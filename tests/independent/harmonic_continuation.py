@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -56,15 +57,18 @@ class CubicModes:
     def __post_init__(self) -> None:
         object.__setattr__(self, "orders", np.arange(1, self.highest + 1, 2))
 
+    @cached_property
+    def _turns(self) -> np.ndarray:
+        """From the series to samples of a period, (samples, orders)."""
+        samples = 4 * (self.highest + 1)
+        return np.exp(2j * math.pi * np.outer(np.arange(samples), self.orders) / samples)
+
     # -- equations -----------------------------------------------------------------------------------------------
 
     def residual(self, series: np.ndarray, omega_b: float, force: float) -> np.ndarray:
         """Of the equations of motion, scaled by the lowest stiffness; ``series`` complex, (orders, modes)."""
-        spring = series @ self.spring_shape
-        samples = 4 * (self.highest + 1)
-        angles = 2.0 * math.pi * np.arange(samples) / samples
-        motion = np.real(np.exp(1j * np.outer(angles, self.orders)) @ spring)
-        restoring = 2.0 / samples * np.exp(-1j * np.outer(self.orders, angles)) @ (self.cubic * motion**3)
+        motion = np.real(self._turns @ (series @ self.spring_shape))
+        restoring = 2.0 / len(motion) * self._turns.conj().T @ (self.cubic * motion**3)
         w = self.orders[:, None] * omega_b
         result = (self.omega**2 - w**2 + 2j * self.zeta * self.omega * w) * series
         result += np.outer(restoring, self.spring_shape)

@@ -64,7 +64,7 @@ def rig_text(exciters: str, kind: TestKind, resonance: str = "") -> str:
             "name": "small",
             "seed": 1,
             "sample_rate_hz": 5000 if fed or strong else 1000 if kind is TestKind.RANDOM else 2000,
-            "block_samples": 25 if fed or strong else 20,
+            "block_samples": 25 if fed or strong else 20 if kind is TestKind.RANDOM else 40,
             "structure": chain,
             "local_elements": elements,
             **({"exciters": sections} if several else {"exciter": sections[0]}),

@@ -63,8 +63,9 @@ def kill(mark: str, node: str, bag: Path) -> None:
     end = time.monotonic() + _LONGEST
     while time.monotonic() < end:
         size = sum(path.stat().st_size for path in bag.glob("*.mcap")) if bag.is_dir() else 0
-        found = [process for process, name in marked(mark).items() if name == node]
-        if size > 200_000 and found:
+        # Who is who is asked of every process of the machine, so only when it is needed.
+        found = [process for process, name in marked(mark).items() if name == node] if size > 200_000 else []
+        if found:
             os.kill(found[0], signal.SIGKILL)
             return
         time.sleep(0.02)

@@ -22,6 +22,7 @@ from nmt_rig.model.local_elements.springs import LinearSpringSection
 
 SAMPLES = 512
 """A period's samples: forces with corners have aliases below 1e-4 of their size in the orders that are kept."""
+_TURNS = np.exp(2j * np.pi * np.outer(np.arange(ORDERS + 1), np.arange(SAMPLES)) / SAMPLES)
 _ALONG = np.ones(1)
 _POWERS = {ord(raised): f"^{plain}" for plain, raised in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")}
 
@@ -228,10 +229,8 @@ def _bristle_loops(x: FloatArray, reach: FloatArray, turns: int) -> FloatArray:
 
 def sampled(motion: ComplexArray, omega: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Displacement and velocity (L, SAMPLES) of harmonics (L, ORDERS + 1)."""
-    angles = 2.0 * np.pi * np.arange(SAMPLES) / SAMPLES
-    turns = np.exp(1j * np.arange(ORDERS + 1)[:, np.newaxis] * angles)
-    x = (motion @ turns).real
-    v = ((1j * omega[:, np.newaxis] * np.arange(ORDERS + 1) * motion) @ turns).real
+    x = (motion @ _TURNS).real
+    v = ((1j * omega[:, np.newaxis] * np.arange(ORDERS + 1) * motion) @ _TURNS).real
     return x, v
 
 

@@ -57,8 +57,8 @@ def accelerances(lines_hz: np.ndarray, mass: tuple[int, float] | None = None) ->
 
 
 def lines() -> np.ndarray:
-    near = [frequency(k) / (2.0 * np.pi) * np.linspace(0.85, 1.03, 120) for k in range(3)]
-    return np.unique(np.concatenate([np.linspace(10.0, 450.0, 250), *near]))
+    near = [frequency(k) / (2.0 * np.pi) * np.linspace(0.85, 1.03, 60) for k in range(3)]
+    return np.unique(np.concatenate([np.linspace(10.0, 450.0, 120), *near]))
 
 
 def recorded(folder: Path, structure: dict, mass: tuple[int, float] | None = None) -> tuple[Path, Path]:

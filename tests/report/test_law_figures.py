@@ -41,9 +41,14 @@ def page(found: LawReading | None) -> str:
     return diagnosis_page(replace(report, diagnosis=replace(report.diagnosis, law=found)))
 
 
-def test_the_figure_has_the_loops_and_their_bands() -> None:
-    found = reading()
-    made = page(found)
+@pytest.fixture(scope="module")
+def stated() -> str:
+    """The page of the reading, drawn once."""
+    return page(reading())
+
+
+def test_the_figure_has_the_loops_and_their_bands(stated: str) -> None:
+    found, made = reading(), stated
     (numbers,) = re.findall(r'<figure id="law-0".*?<script type="application/x-nmt-figure">(.*?)</script>', made, re.S)
     panels = unpacked(numbers)["panels"]
     top = found.laws[0].loops[-1]
@@ -60,8 +65,8 @@ def test_the_figure_has_the_loops_and_their_bands() -> None:
     assert sizes == pytest.approx([1.0, 1.0], rel=1e-3)
 
 
-def test_the_table_has_term_and_reach() -> None:
-    text = re.sub(r"\s+", " ", text_of(page(reading())))
+def test_the_table_has_term_and_reach(stated: str) -> None:
+    text = re.sub(r"\s+", " ", text_of(stated))
     assert "point 5 hardening spring x³ (2.000 ± 0.010)·10⁹ N/m³" in text
     assert "Valid up to 1 mm" in text
     assert "20 → 2 standard deviations (10 % stay)" in text
@@ -70,8 +75,8 @@ def test_the_table_has_term_and_reach() -> None:
 HEADING = "A force like hardening spring (point 5), which no effect of the library explains"
 
 
-def test_the_page_is_headed_by_the_law_and_says_a_warning_once() -> None:
-    text = re.sub(r"\s+", " ", text_of(page(reading())))
+def test_the_page_is_headed_by_the_law_and_says_a_warning_once(stated: str) -> None:
+    text = re.sub(r"\s+", " ", text_of(stated))
     assert HEADING in text
     report = fixture.report(Verdict.UNKNOWN, fixture.one_test())
     warning = "The fit moves structure.density_kg_m3: check it."

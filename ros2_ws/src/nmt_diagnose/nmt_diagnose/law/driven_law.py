@@ -15,7 +15,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 _ROUNDS = 2  # along the motion that a law makes
-_PLACES = 3  # at which more than one block is looked for
+_PLACES = 2  # at which more than one block is looked for
 
 
 def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
@@ -43,50 +43,54 @@ def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
     tried: list[tuple[RecordSearch, list[RecordLaw], RecordLaw]] = []
     near = THRESHOLDS.law.place_score_ratio * max(singles[0][1][0].score, singles[0][0].records.enough)
     for search, laws in [one for one in singles if one[1][0].score <= near][:_PLACES]:
-        found = search.found() or laws
-        tried.append((search, found, search.fewest(found)))
+        moved = _along_its_motion(search, laws[0])
+        found = moved.found() or ([] if moved is not search else laws)
+        if found:
+            tried.append((moved, found, moved.fewest(found)))
+    if not tried:
+        return reading_of(rig, singles[0][0], [])
     least = THRESHOLDS.law.alike_score_ratio * min(best.score for _, _, best in tried)
     search, laws, best = min(
         (one for one in tried if one[2].score <= least), key=lambda one: (len(one[2].terms), one[2].score)
     )
-    read_at = search.records
-    search, laws, best = _along_its_motion(search, laws, best)
-    everywhere = [(s.records, found) for s, found, _ in tried] + [
-        (s.records, found) for s, found in singles[len(tried) :]
-    ]
+    nearer = _along_its_motion(search, best) if best.score > search.records.enough else search
+    if nearer is not search and (again := nearer.found()):
+        other = nearer.fewest(again)
+        if other.score < best.score:
+            search, laws, best = nearer, again, other
+    everywhere = [(s.records, found) for s, found, _ in tried]
 
     def other_places(words: str) -> tuple[str, ...]:
         return tuple(
             _name(records.place)
             for records, found in everywhere
-            if records is not read_at
+            if records.place != search.records.place
             and any(nearly_as_well(law.score, best.score) and words_of(records, law) == words for law in found)
         )
 
-    return reading_of(rig, search, laws, other_places)
+    return reading_of(rig, search, laws, other_places, best)
 
 
-def _along_its_motion(
-    search: RecordSearch, found: list[RecordLaw], best: RecordLaw
-) -> tuple[RecordSearch, list[RecordLaw], RecordLaw]:
-    """The search along the motion that its law makes, its laws and the one that is told, where they leave less.
+def _along_its_motion(search: RecordSearch, law: RecordLaw) -> RecordSearch:
+    """The search along the motion that a law makes, where the law leaves less along it.
 
     Where no sensor is at the place its motion under an unknown force is much noise, under a law it is the model's.
+    Blocks beside one another would explain that noise.
     """
     for _ in range(_ROUNDS):
-        if best.score <= search.records.enough or not best.terms:
+        if law.score <= THRESHOLDS.law.second_from_score or not law.terms:
             break
         records: RespondingRecords = search.records  # type: ignore[assignment]
-        forces = [np.sum([c * record.force(t) for t, c in best.terms], axis=0) for record in records.records]
+        forces = [np.sum([c * record.force(term) for term, c in law.terms], axis=0) for record in records.records]
         again = RecordSearch(records.beside(forces))
-        laws = again.found()
-        if not laws:
+        blocks = list(law.blocks)
+        for k in range(len(blocks)):
+            blocks[k] = again.refined(blocks[k], [*blocks[:k], *blocks[k + 1 :]])
+        other = again.law(blocks)
+        if not other.score < law.score:
             break
-        other = again.fewest(laws)
-        if not other.score < best.score:
-            break
-        search, found, best = again, laws, other
-    return search, found, best
+        search, law = again, other
+    return search
 
 
 def _name(place: tuple[int, int]) -> str:

@@ -85,7 +85,11 @@ def _reading(rig: Rig, records: MovedRecords) -> tuple[LawReading, FloatArray]:
 
 
 def reading_of(
-    rig: Rig, search: RecordSearch, tried: Sequence[RecordLaw], other_places: Callable[[str], tuple[str, ...]] = _none
+    rig: Rig,
+    search: RecordSearch,
+    tried: Sequence[RecordLaw],
+    other_places: Callable[[str], tuple[str, ...]] = _none,
+    best: RecordLaw | None = None,
 ) -> LawReading:
     """The law of records, or why none is told.
 
@@ -94,6 +98,7 @@ def reading_of(
         search: of the law.
         tried: laws that were found; nothing where none was looked for.
         other_places: places at which a law of a family does nearly as well.
+        best: of these the one that is told; None = of those whose score is near the best the one of fewest terms.
     """
     limits, records = THRESHOLDS.law, search.records
     before = search.null.score
@@ -119,7 +124,7 @@ def reading_of(
         return reading("the record differs from the model by no more than noise and tolerances")
     if not tried:
         return reading("no local force explains it")
-    best = search.fewest(tried)
+    best = best or search.fewest(tried)
     if not best.terms:
         return reading("no local force explains it")
     pulled = search.pulled(best)

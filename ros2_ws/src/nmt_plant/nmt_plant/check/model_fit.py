@@ -67,9 +67,9 @@ class MovedModes:
         rows = [sensor_row(system, rig, order.index(name)) for name in channels]
         parts = np.array([[row.displacement, row.velocity, row.acceleration] for row in rows])
         powers = np.stack((np.ones_like(s), s, s * s), axis=1)
-        self._out = np.einsum("fp,cpn,fnk->fck", powers, parts, solved)
+        self._out = np.einsum("fp,cpn,fnk->kfc", powers, parts, solved)
         self._through = input_per_volt(rig) * np.array([row.feedthrough for row in rows])
-        self._between = np.einsum("nj,fnk->fjk", ends, solved)
+        self._between = np.ascontiguousarray(np.einsum("nj,fnk->jkf", ends, solved))
         # Power spectrum of the Hann window about its line, at the fine frequencies.
         away = np.arange(-4 * _FINE, 4 * _FINE + 1) / _FINE
         window = np.sinc(away) + 0.5 * (np.sinc(away - 1.0) + np.sinc(away + 1.0))
@@ -78,14 +78,35 @@ class MovedModes:
     def __call__(self, frequency: FloatArray, damping: FloatArray) -> ComplexArray:
         """Responses per volt of drive, (channels, L), of modes with these ratios to the model's, each (m,)."""
         moved, old = frequency * self.frequencies, 2.0 * self.damping * self.frequencies
-        change = (moved**2 - self.frequencies**2) + self._s[:, None] * (2.0 * damping * self.damping * moved - old)
-        active = np.flatnonzero(change.any(axis=0))  # a mode that stays where it is adds nothing
-        change, between = change[:, active, None], self._between[:, active]
-        small, given = np.eye(active.size) + change * between[:, :, 1 + active], change * between[:, :, :1]
-        inner = given / small if active.size == 1 else np.linalg.solve(small, given)
-        found = self._out[:, :, 0] - (self._out[:, :, 1 + active] @ inner)[:, :, 0] + self._through
+        stiffer, damped = moved**2 - self.frequencies**2, 2.0 * damping * self.damping * moved - old
+        active = np.flatnonzero((stiffer != 0.0) | (damped != 0.0))  # a mode that stays where it is adds nothing
+        change = stiffer[active, None] + damped[active, None] * self._s
+        between = change[:, None] * self._between[active][:, np.append(0, 1 + active)]
+        between[np.arange(active.size), 1 + np.arange(active.size)] += 1.0
+        found = self._out[0] + self._through
+        for mode, inner in zip(active, _eliminated(between[:, 1:], between[:, 0]), strict=True):
+            found = found - inner[:, None] * self._out[1 + mode]
         smooth = np.lib.stride_tricks.sliding_window_view(found, self._kernel.size, axis=0)[::_FINE] @ self._kernel
         return np.asarray(smooth[: self._lines].T)
+
+
+def _eliminated(matrices: ComplexArray, given: ComplexArray) -> ComplexArray:
+    """Solutions (k, F) of F systems of k equations (k, k, F), (k, F) each; both are changed.
+
+    Gauss elimination of all of them at once: k is small and F large, and LAPACK is called for one after the other.
+    Damping keeps the pivots off zero.
+    """
+    size = len(given)
+    for pivot in range(size):
+        for row in range(pivot + 1, size):
+            factor = matrices[row, pivot] / matrices[pivot, pivot]
+            matrices[row, pivot + 1 :] -= factor * matrices[pivot, pivot + 1 :]
+            given[row] -= factor * given[pivot]
+    for row in reversed(range(size)):
+        for later in range(row + 1, size):
+            given[row] -= matrices[row, later] * given[later]
+        given[row] /= matrices[row, row]
+    return given
 
 
 @dataclass(frozen=True, eq=False)

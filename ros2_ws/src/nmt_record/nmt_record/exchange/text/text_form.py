@@ -97,7 +97,7 @@ def form_of(lines: Sequence[str], name: str) -> TextForm:
     best, score = None, 0
     for delimiter, decimal in _FORMS:
         form = TextForm(delimiter, decimal)
-        rows = [line for line in sample if form.numeric(line) and (delimiter is None or delimiter in line)]
+        rows = [line for line in sample if (delimiter is None or delimiter in line) and form.numeric(line)]
         if len(rows) > score * 1.5:
             best, score = form, len(rows)
     if score < 0.5 * len(sample):

@@ -130,12 +130,13 @@ class RobotModel:
         model.body_mass[body] *= 2.0
         result = np.empty(q.shape)
         positions, speeds = columns + self._first_position, columns + self._first_speed
+        angles, rates, changes, found = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
         for row in range(len(q)):
-            data.qpos[positions] = q[row]
-            data.qvel[speeds] = v[row]
-            data.qacc[speeds] = a[row]
+            angles[positions] = q[row]
+            rates[speeds] = v[row]
+            changes[speeds] = a[row]
             mujoco.mj_inverse(model, data)
-            result[row] = data.qfrc_inverse[speeds]
+            result[row] = found[speeds]
             if yielding and self.floating:
                 result[row] += self._given_way(speeds)
         model.body_mass[body] *= 0.5

@@ -118,7 +118,7 @@ def test_a_column_is_what_a_little_of_its_element_makes_of_the_motion(tmp_path: 
     slope = (more - plain) / (share * LAWS[words][2])
     rig = rig_of(tmp_path, TEXT)
     basis = DrivenBasis.of(rig, read_observations([bag(tmp_path, element(words, "point: 3", 1e-9))], rig), 0, 1500)
-    assert basis is not None
+    assert isinstance(basis, DrivenBasis)
     place = basis.plant.places.index((3, 0))
     record_at = RespondingRecord.of(basis, place, 5)
     exponent = {"hardening spring": Term("power", 3.0), "damping that grows with speed": Term("speed", 2.0)}[words]
@@ -145,12 +145,20 @@ def test_several_records_of_one_rig_have_one_law(tmp_path: Path) -> None:
     assert law.terms[0].coefficient == pytest.approx(3e6, rel=0.05)
 
 
+def test_a_record_that_is_held_out_tells_no_law(tmp_path: Path) -> None:
+    rig = rig_of(tmp_path, TEXT)
+    observations = read_observations([bag(tmp_path, element("hardening spring", "point: 3"))], rig)
+    assert read_driven_law(rig, observations.take(np.zeros(len(observations.rows), bool))) is None
+
+
 def test_gains_do_not_take_off_the_motion_where_no_law_is(tmp_path: Path) -> None:
     """Channels by a gain and the force by another take off every row: without a law both stay ordinary."""
     rig = rig_of(tmp_path, TEXT)
-    (records, *_) = RespondingRecords.at_places(
+    every = RespondingRecords.at_places(
         rig, read_observations([bag(tmp_path, element("hardening spring", "point: 3"))], rig)
     )
+    assert not isinstance(every, str)
+    records = every[0]
     search = RecordSearch(records)
     pulls = {
         name: abs(value)
@@ -161,11 +169,23 @@ def test_gains_do_not_take_off_the_motion_where_no_law_is(tmp_path: Path) -> Non
     assert search.null.score > 10.0
 
 
+def test_a_model_whose_sensors_filter_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    made = bag(tmp_path, "")
+    text = TEXT.replace("{quantity: displacement, point: 2}", "{quantity: displacement, point: 2, low_pass_hz: 80.0}")
+    rig = rig_of(tmp_path, text)
+    reading = read_driven_law(rig, read_observations([made], rig))
+    assert reading is not None
+    assert reading.refusals == (
+        "sensors of the model have filters or delays; correct the recording for them and leave them out",
+    )
+
+
 def test_a_place_whose_motion_no_channel_tells_is_not_named(tmp_path: Path) -> None:
     """One sensor far away: its noise leaves the motion between the others open."""
     made = bag(tmp_path, element("hardening spring", "point: 3"), (0, 1))
     rig = rig_of(tmp_path, TEXT)
     every = RespondingRecords.at_places(rig, read_observations([made], rig))
+    assert not isinstance(every, str)
     assert {one.place for one in every} == {(1, 0), (2, 0), (3, 0), (2, 1), (3, 2)}
     assert (3, 2) not in {one.place for one in moving(every)}
 

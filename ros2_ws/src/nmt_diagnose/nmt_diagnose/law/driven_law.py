@@ -28,11 +28,12 @@ def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
     every = RespondingRecords.at_places(rig, observations)
     if not every:
         return None
-    searches = [RecordSearch(records) for records in moving(every)]
+    searches = [] if isinstance(every, str) else [RecordSearch(records) for records in moving(every)]
     if not searches:
-        name = " and ".join(record.test.name for record in every[0].records)
+        name = " and ".join(test.name for test in observations.tests if test.driven_as is not None)
         why = "the channels of the record tell the motion of no place; put a sensor where the force may act"
-        return LawReading(name, every[0].count, (), math.nan, math.nan, math.nan, math.nan, (why,), True)
+        why, count = (every, 0) if isinstance(every, str) else (why, every[0].count)
+        return LawReading(name, count, (), math.nan, math.nan, math.nan, math.nan, (why,), True)
     lacking = [search for search in searches if search.null.score >= THRESHOLDS.law.least_null_score]
     if not lacking:
         return reading_of(rig, searches[0], [])

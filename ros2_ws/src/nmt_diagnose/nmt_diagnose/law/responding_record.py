@@ -48,7 +48,8 @@ from nmt_diagnose.prediction.timed_elements import TimedTables
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import ElementTables
 from nmt_rig.model.fourier_basis import FourierBasis
-from nmt_rig.rig import ChainSection, Rig
+from nmt_rig.rig import ChainSection, ForceSection, Rig
+from nmt_rig.rig_model import inputs_per_volt
 from nmt_signals.band_limited import finer
 
 _STEPS = 20000  # of a record, at most: finer ones where it is short
@@ -56,6 +57,7 @@ _PADDING_SAMPLES = 512
 _NOISE = 1e-4  # of a channel over its size, at least
 _LEAST_START = 1e-3  # of a free motion over the largest of its channel, from which on it is seen
 _CLIPPED = 0.98
+_NO_ROW = 1e6  # standard deviation over the size of a channel that has no rows
 _RUNS_AWAY = 5.0  # motion of a place over the largest at a sensor
 _MOST_UNKNOWNS = 400  # of the model's motion: more cost gigabytes along a record
 
@@ -68,6 +70,14 @@ def places_of(rig: Rig, parts: RigParts) -> list[tuple[int, int]]:
     taken = {(e.point, e.other_point or 0) for e in rig.local_elements if not e.rotation}
     points += [pair for pair in sorted(taken) if pair not in points and pair[::-1] not in points]
     return [pair for pair in points if {*pair} - {0} <= {*parts.system.point_numbers}]
+
+
+def _newton_per_volt(rig: Rig, test: DrivenRecord) -> float | None:
+    """Force by the input of a record: 1 of a force, that of an exciter without dynamics of a voltage, else None."""
+    if test.input_channel.quantity is Quantity.FORCE:
+        return 1.0
+    ideal = all(isinstance(exciter, ForceSection) for exciter in rig.all_exciters) and len(rig.all_exciters) == 1
+    return float(inputs_per_volt(rig)[0]) if ideal else None
 
 
 @dataclass(frozen=True)
@@ -107,8 +117,8 @@ class DrivenBasis:
     at: IntArray
 
     @classmethod
-    def of(cls, rig: Rig, observations: Observations, number: int, most: int) -> DrivenBasis | None:
-        """The basis of one test with so many rows at most; None where its force was not measured or it is no record.
+    def of(cls, rig: Rig, observations: Observations, number: int, most: int) -> DrivenBasis | str:
+        """The basis of one driven record with so many rows at most, or why there is none, a clause.
 
         Args:
             rig: the model.
@@ -117,23 +127,30 @@ class DrivenBasis:
             most: rows.
         """
         test = observations.tests[number].driven_as
-        if test is None or test.input_channel.quantity is not Quantity.FORCE:
-            return None
+        assert test is not None
+        per_volt = _newton_per_volt(rig, test)
+        if per_volt is None:
+            return "the force that drives was not measured; record it, for a voltage drives the exciter, too"
+        if not np.all(np.isfinite(test.responses)) or not np.all(np.std(test.responses, axis=1) > 0.0):
+            return "a channel of the record stands still or lacks samples; leave it out"
         settings = PredictionSettings()
         cache = PartsCache(settings)
         setup = Setup(test.drive_points, True, test.channels, FourierBasis.up_to(1))
         seconds = test.start_s + 0.5 * test.input.size / test.sample_rate
         parts = cache.parts(rig, setup, seconds)
         system = parts.system
-        if system.first_order or system.size > _MOST_UNKNOWNS or np.any(parts.channels[:, 1:] != 0.0):
-            return None
+        if np.any(parts.channels[:, 1:] != 0.0):
+            return "sensors of the model have filters or delays; correct the recording for them and leave them out"
+        if system.first_order or system.size > _MOST_UNKNOWNS:
+            lacking = "unknowns without inertia" if system.first_order else f"{system.size} unknowns"
+            return f"the model has {lacking}; leave attachments out or take a coarser mesh"
         places = places_of(rig, parts)
         rate = test.sample_rate / test.head_stride
         samples = test.responses.shape[1]
         wanted = substeps_of(parts.linear, test.sample_rate)
         stride = test.head_stride * max(1, min(wanted, _STEPS // max(test.input.size, 1)))
         plant = DrivenPlant.of(parts, places, np.arange(len(test.channels)), rate, stride, settings)
-        force = finer(test.input, stride // test.head_stride, _PADDING_SAMPLES)[: (samples - 1) * stride + 1]
+        force = per_volt * finer(test.input, stride // test.head_stride, _PADDING_SAMPLES)[: (samples - 1) * stride + 1]
         drive = plant.coordinates
         x, v, poles = plant.motion_under(drive, force)
         answered = plant.answer(drive, force, stride * np.arange(samples))
@@ -141,7 +158,11 @@ class DrivenBasis:
         noise = np.array([white_noise(row, rate) for row in test.responses])
         rows = observations.rows
         here = (rows.test == number) & (rows.part == Part.SAMPLE)
-        sigma = np.array([np.median(observations.sigma[here & (rows.channel == k)]) for k in range(len(size))])
+        # A channel of which no sample counts says nothing of the law.
+        counts = [here & (rows.channel == k) for k in range(len(size))]
+        sigma = np.array(
+            [np.median(observations.sigma[k]) if k.any() else _NO_ROW * s for k, s in zip(counts, size, strict=True)]
+        )
         clipped = np.any(
             (test.limits[:, np.newaxis] > 0.0) & (np.abs(test.responses) >= _CLIPPED * test.limits[:, np.newaxis]),
             axis=0,
@@ -403,7 +424,8 @@ def _errors(
             found[f"gain of {channel.name} in {test.name}"] = alone(number, chain.of(channel.name).gain * row)
         found[f"{DELAY} {channel.name} in {test.name}"] = alone(number, HALF_A_SAMPLE * np.gradient(row))
     if chain is not None:
-        gain = chain.of(test.input_channel.name).gain
+        measured = test.input_channel.quantity is Quantity.FORCE
+        gain = chain.of(test.input_channel.name).gain if measured else chain.voltage_gain
         found[f"gain of {test.input_channel.name} in {test.name}"] = gain * answered[:, at]
     for number, values in enumerate(_free_motions(basis)):
         name = f"start {number} of {test.name}"
@@ -481,15 +503,17 @@ class RespondingRecords(SampledRecords[RespondingRecord]):
     """Driven records of one rig whose missing force is one law at one place."""
 
     @classmethod
-    def at_places(cls, rig: Rig, observations: Observations) -> list[RespondingRecords]:
-        """The driven records among some tests, once for each place; nothing where there is none."""
-        numbers = [k for k, test in enumerate(observations.tests) if test.driven_as is not None]
+    def at_places(cls, rig: Rig, observations: Observations) -> list[RespondingRecords] | str:
+        """The driven records among some tests, once for each place, or why none is read; nothing without a record."""
+        counted = set(observations.rows.test[observations.rows.part == Part.SAMPLE].tolist())
+        numbers = [k for k, test in enumerate(observations.tests) if test.driven_as is not None and k in counted]
         if not numbers:
             return []
         parts, most = max(1, round(PARTS / len(numbers))), ROWS // len(numbers)
-        bases = [basis for k in numbers if (basis := DrivenBasis.of(rig, observations, k, most)) is not None]
-        if not bases or any(basis.plant.places != bases[0].plant.places for basis in bases):
-            return []
+        made = [DrivenBasis.of(rig, observations, k, most) for k in numbers]
+        bases = [basis for basis in made if isinstance(basis, DrivenBasis)]
+        if not bases:
+            return next(why for why in made if isinstance(why, str))
         found = []
         for place in range(len(bases[0].plant.places)):
             records = tuple(RespondingRecord.of(basis, place, parts) for basis in bases)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnose.test_imposed_motion import bag_of, diagnosed, record, rig_of
+from diagnose.test_imposed_motion import DRIVE, bag_of, diagnosed, record, rig_of, sines
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.law.driven_law import read_driven_law
@@ -197,3 +197,38 @@ def test_the_diagnosis_states_the_law_of_a_driven_record(tmp_path: Path) -> None
     assert found.verdict is Verdict.UNKNOWN
     assert "In the record the missing force acts like clearance at point 3" in found.sentences[0]
     assert "The rig file gets it as local elements" in found.sentences[-1]
+
+
+def test_a_strength_that_follows_a_channel_is_read_from_a_driven_record(tmp_path: Path) -> None:
+    """f = (a + b s(t)) v |v| on a mass with a spring, by the trapezoidal rule."""
+    text = DRIVE.replace("sample_rate_hz: 200", "sample_rate_hz: 400").format(spring=12.0, damper=0.05)
+    signal = 1.0 + 0.6 * np.sin(0.7 * TIME)
+    driven = (0.4 + 0.05 * TIME) * sines(TIME, (0.2, 0.7, 0.0), (0.13, 1.9, 1.0), (0.08, 4.3, 2.0))[0]
+    steps = 10
+    fine = np.arange(steps * (TIME.size - 1) + 1) / steps
+    force, strength = (np.interp(fine, np.arange(TIME.size), values) for values in (driven, 2.0 + 3.0 * signal))
+    step, x, v = 1.0 / (RATE * steps), 0.0, 0.0
+    motion = np.zeros(fine.size)
+    for k in range(1, fine.size):
+        # The drag of the middle of a step, where the speed of its beginning is close to it.
+        lost = 0.05 + strength[k] * abs(v)
+        middle = 0.5 * (force[k] + force[k - 1]) - 12.0 * (x + 0.5 * step * v) - lost * v
+        change = step * middle / (2e-3 + 0.5 * step * lost + 0.25 * step**2 * 12.0)
+        x, v = x + step * (v + 0.5 * change), v + change
+        motion[k] = x
+    random = np.random.default_rng(3)
+    columns = {
+        "displacement 1": motion[::steps] + 1e-6 * random.standard_normal(TIME.size),
+        "force 1": driven,
+        "current 1": signal,
+    }
+    rig = rig_of(tmp_path, text)
+    made = bag_of(tmp_path, RATE, columns, record(TIME.size, RATE, held="force"), text)
+    reading = read_driven_law(rig, read_observations([made], rig))
+    assert reading is not None
+    assert reading.is_stated
+    (law,) = reading.laws
+    assert law.family == "damping that grows with speed that follows the current"
+    base, following = law.terms
+    assert base.coefficient == pytest.approx(2.0, rel=0.1)
+    assert following.coefficient == pytest.approx(3.0, rel=0.1)

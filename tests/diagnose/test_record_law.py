@@ -18,6 +18,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
+from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_elements import with_law
@@ -401,3 +402,17 @@ def test_what_no_effect_explains_is_told_as_the_law_of_a_record(tmp_path: Path) 
 def test_other_kinds_of_test_have_none(kind: str) -> None:
     rig = rig_of_kinds()
     assert read_record_law(rig, KINDS[kind](rig)) is None
+
+
+def test_a_parameter_of_the_model_is_off_by_its_own_prior(tmp_path: Path) -> None:
+    """A spring's column is the force of a standard deviation of it along the motion."""
+    rig = rig_of(tmp_path, TEXT)
+    columns = {"displacement 1": X, "force 1": 2e-3 * A + 0.05 * V + 12.0 * X}
+    bag = bag_of(tmp_path, RATE, columns, record(TIME.size, RATE, held="response"), TEXT)
+    records = MovedRecords.of(rig, read_observations([bag], rig))
+    assert records is not None
+    (moved,) = records.records
+    spring = next(p for p in calibration_parameters(rig) if "ground_springs" in p.name)
+    at = np.concatenate(moved.parts)
+    expected = spring.std * 12.0 * moved.x[0, at]
+    np.testing.assert_allclose(np.concatenate(moved.errors[spring.name]), expected, rtol=1e-3, atol=1e-6)

@@ -111,9 +111,9 @@ class MovedRecord:
         slope = np.gradient(np.interp(np.arange(test.force.size), samples, test.force[samples]))
         errors[f"{DELAY} the force in {test.name}"] = HALF_A_SAMPLE * slope[samples]
         for parameter in calibration_parameters(rig):
-            change = (predictor.values(parameter.apply(rig, STEP), cache, ()) - base) / STEP
+            change = (predictor.values(parameter.apply(rig, STEP), PartsCache(settings), ()) - base) / STEP
             if np.any(change):
-                errors[parameter.name] = parameter.std * change
+                errors[parameter.name] = change
         pieces = [piece for piece in np.array_split(np.arange(samples.size), parts) if piece.size]
         missing = test.force[samples] - base
         return cls(

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matrix.element_structures import FIRST_HZ, STRUCTURES
 from scipy import io, sparse
 from scipy.linalg import eigh
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_rig.linear_description import linear_description
@@ -14,6 +16,7 @@ from nmt_rig.model.linear_modes import modal_damping_matrix, sticking_modes
 from nmt_rig.model.matrix_structure import TRUNCATION, Matrices, condensed, craig_bampton
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
+from nmt_rig.rig_file_edit import edited_rig_text
 from nmt_rig.rig_model import build_structure
 from nmt_rig.rig_snapshot import rig_text
 
@@ -71,6 +74,40 @@ def test_what_travels_needs_no_files(tmp_path, beam):
     (elsewhere / "rig.yaml").write_text(rig_text(rig, tmp_path / "rig.yaml"))
     assert load_rig(elsewhere / "rig.yaml") == rig
     assert rig.structure.source.startswith("beam.npz (SHA-256 ")
+
+
+@pytest.mark.parametrize("structure", with_quick(STRUCTURES, *STRUCTURES[::8], *STRUCTURES[3::8]), ids=lambda s: s.name)
+def test_what_nodes_and_diagnoses_write_loads(tmp_path, structure):
+    """The rounding of a reduction is no number of a rig file; the frequencies are those of the full matrices."""
+    file = structure.write(tmp_path)
+    rig = load_rig(file)
+    (tmp_path / "snapshot.yaml").write_text(rig_text(rig, file))
+    assert load_rig(tmp_path / "snapshot.yaml") == rig
+    exact = linear_description(rig).frequencies_rad_s
+    np.testing.assert_allclose(exact[0], 2.0 * np.pi * FIRST_HZ, rtol=2e-3)
+    changed = rig.model_copy(update={"seed": 7})
+    (tmp_path / "model.yaml").write_text(edited_rig_text(file.read_text(), file.name, changed))
+    again = load_rig(tmp_path / "model.yaml")
+    assert again.seed == 7
+    np.testing.assert_allclose(linear_description(again).frequencies_rad_s, exact, rtol=1e-12)
+
+
+def test_modes_of_a_file_have_no_rounding_either(tmp_path):
+    (tmp_path / "modes.csv").write_text(
+        "frequency_hz,damping_ratio,modal_mass_kg,point_1,point_2\n20,0.01,1,1,-3.1e-33\n50,0.01,1,1e-40,1\n"
+    )
+    file = tmp_path / "rig.yaml"
+    file.write_text("name: two\nstructure: {kind: modal, file: modes.csv}\n")
+    rig = load_rig(file)
+    assert [mode.shape for mode in rig.structure.modes] == [[1.0, 0.0], [0.0, 1.0]]
+    (tmp_path / "snapshot.yaml").write_text(rig_text(rig, file))
+    assert load_rig(tmp_path / "snapshot.yaml") == rig
+
+
+def test_a_file_beyond_every_quantity_is_refused_before_nodes_start(tmp_path, beam):
+    np.savez(tmp_path / "beam.npz", M=beam.mass, K=beam.stiffness * 1e26)
+    with pytest.raises(BenchError, match=r"rig.yaml line \d+: structure.stiffness_n_m: .*beyond every quantity here"):
+        rig_of(tmp_path, f"file: beam.npz, {points_at(beam, rotations=True)}")
 
 
 @pytest.mark.parametrize("form", ["npz", "mat", "mtx", "npy", "sparse"])

@@ -20,6 +20,7 @@ from ruamel.yaml.tokens import CommentToken
 
 from nmt_core.errors import BenchError
 from nmt_core.files.yaml_document import KeyPath, parse_document
+from nmt_core.files.yaml_text import yaml_text
 from nmt_rig.rig import Rig, validate_rig
 
 _DIGITS = 10
@@ -34,7 +35,7 @@ _EOL = {CommentedMap: 2, CommentedSeq: 0}
 def edited_rig_text(text: str, name: str, target: Rig) -> str:
     """Text of a rig file that loads to ``target``, with as much of an older text as possible.
 
-    Numbers are written with ten significant digits.
+    Numbers are written with ten significant digits, those of a structure from files with all.
 
     Args:
         text: the rig file to start from.
@@ -57,7 +58,8 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
         pass
     # Anchors, merge keys and the like: written out plainly, without the comments.
     values = _listed(target.model_dump(mode="json", exclude_defaults=True))
-    result = _dumped(_yaml(2, 2, 120), values)
+    # Matrices keep all digits: the lowest of many rows hangs on the last ones.
+    result = yaml_text(values) if base is target else _dumped(_yaml(2, 2, 120), values)
     validate_rig(parse_document(result, name))
     return result
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import math
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.files.hardened import json_value, read_text
+from nmt_core.files.hardened import SMALLEST_NUMBER, check_number, json_value, read_text
 from nmt_core.files.whole_file import write_whole
 from nmt_core.files.yaml_document import YamlDocument
 from nmt_rig.file_errors import BadFileError
@@ -66,7 +67,26 @@ def with_file_contents(document: YamlDocument, folder: Path) -> YamlDocument:
 
 
 def _replaced(document: YamlDocument, structure: dict[str, Any]) -> YamlDocument:
-    return YamlDocument(document.name, {**document.values, "structure": structure}, document.places)
+    place = document.place(("structure", "file"))
+    held = {key: _as_in_a_rig_file(value, f"{place}: structure.{key}") for key, value in structure.items()}
+    return YamlDocument(document.name, {**document.values, "structure": held}, document.places)
+
+
+def _as_in_a_rig_file(value: Any, place: str) -> Any:
+    """Computed numbers as a rig file may hold them: what is too small for one is rounding where zero is meant.
+
+    Raises:
+        BenchError: a number beyond every quantity, with the place.
+    """
+    if isinstance(value, dict):
+        return {key: _as_in_a_rig_file(item, f"{place}.{key}") for key, item in value.items()}
+    if isinstance(value, list):
+        return [_as_in_a_rig_file(item, place) for item in value]
+    if not isinstance(value, float):
+        return value
+    value = value if abs(value) >= SMALLEST_NUMBER or math.isnan(value) else 0.0
+    check_number(value, place)
+    return value
 
 
 def completed(document: YamlDocument) -> YamlDocument:

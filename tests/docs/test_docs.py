@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.metadata
 import importlib.util
 import pkgutil
 import re
@@ -14,6 +15,7 @@ from typing import get_args
 import pytest
 
 from nmt_bench.cli import all_commands, build_parser
+from nmt_core import bench_version
 from nmt_rig.device_sections import DEVICES
 from nmt_rig.model import local_elements
 
@@ -202,3 +204,49 @@ def test_tests_named_on_the_page_of_claims_exist() -> None:
             assert path.exists(), path
         if chosen:
             assert any(re.search(rf"def test_\w*{chosen}", path.read_text(encoding="utf-8")) for path in paths), chosen
+
+
+FOREIGN_PACKAGE = re.compile(r"\b(?:pip3?|pipx|uvx?|poetry|conda) [^\n`]*?(?<![\w./=-])nmt(?![\w/-]|\.\w|==?\s)")
+"""A line that installs what the package index calls ``nmt``, which is another project."""
+
+
+def test_nothing_installs_the_foreign_package_of_the_same_name() -> None:
+    assert all(
+        FOREIGN_PACKAGE.search(line)
+        for line in (
+            "pip install nmt",
+            "pip install 'nmt[robots]'",
+            'pip install "nmt[dask]"',
+            "python -m pip install --force-reinstall nmt.",
+            "pip install nmt>=0.3",
+            "uv pip install nmt",
+        )
+    )
+    places = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "pyproject.toml", *(ROOT / ".ci").glob("*")]
+    for folder, kinds in (("docs", "md py"), ("examples", "ipynb"), ("requirements", "py in")):
+        places += [path for kind in kinds.split() for path in (ROOT / folder).rglob(f"*.{kind}")]
+    for folder in ("ros2_ws/src", "campaigns"):
+        places += [path for kind in ("py", "html", "js", "yaml", "xml") for path in (ROOT / folder).rglob(f"*.{kind}")]
+    found = [
+        f"{path.relative_to(ROOT)}: {line.strip()}"
+        for path in places
+        if path.is_file()
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if FOREIGN_PACKAGE.search(line)
+    ]
+    assert not found, "\n".join(found)
+
+
+def test_the_version_is_asked_of_the_distribution_that_the_wheel_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    (name,) = re.findall(r'^name = "(.+?)"', (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.M)
+    asked = []
+
+    def version(distribution: str) -> str:
+        asked.append(distribution)
+        raise importlib.metadata.PackageNotFoundError
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    monkeypatch.setattr(bench_version, "_PACKAGE_FILE", "")
+    assert bench_version.bench_version() == ""
+    assert name == "nonlinear-modal-testing"
+    assert asked == ["nmt_bench", name]

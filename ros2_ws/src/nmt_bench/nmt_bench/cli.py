@@ -334,8 +334,8 @@ def _missing_module(name: str) -> str:
             "a workspace built and sourced beside ROS 2 Jazzy."
         )
     if library == "distributed":
-        return "'distributed' is not installed; type: pip install 'nmt[dask]'."
-    return f"'{library}' is not installed, although nmt needs it; type: pip install --force-reinstall nmt."
+        return "'distributed' is not installed; type in a clone of the bench: pip install '.[dask]'."
+    return f"'{library}' is not installed, although nmt needs it; type in a clone: pip install --force-reinstall ."
 
 
 _NO_MEMORY = re.compile(r"pthread_create|start new thread|failed to map|Could not find/load shared|allocate memory")

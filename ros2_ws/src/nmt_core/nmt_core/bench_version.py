@@ -27,7 +27,7 @@ def _stated_version(path: str) -> str:
 def _installed_version() -> str:
     from importlib.metadata import PackageNotFoundError, version
 
-    for distribution in ("nmt_bench", "nmt"):
+    for distribution in ("nmt_bench", "nonlinear-modal-testing"):
         try:
             return version(distribution)
         except PackageNotFoundError:

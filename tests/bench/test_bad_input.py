@@ -81,6 +81,17 @@ def test_a_malformed_run(name: str, tmp_path: Path, capsys: pytest.CaptureFixtur
     refused([*words, "--out", str(tmp_path / "out")], sentence, capsys, tmp_path / "out")
 
 
+@pytest.mark.parametrize("command", ["run", "linear", "reference"])
+@pytest.mark.parametrize("ending", [".xml", ".urdf", ".MJCF"])
+def test_a_robot_is_sent_where_robots_go(
+    command: str, ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    robot = tmp_path / f"good{ending}"
+    robot.write_text("<mujoco><worldbody/></mujoco>", encoding="utf-8")
+    sentence = r"robot's file.*diagnose --model .*good.* --real LOG"
+    refused([command, str(robot), "--out", str(tmp_path / "out")], sentence, capsys, tmp_path / "out")
+
+
 def bag_of(kind: str, folder: Path) -> Path:
     """A thing that is not a usable bag."""
     path = folder / "bag"

@@ -19,6 +19,8 @@ from nmt_bench.cli import main
         (("run", "--jobs", "0"), "--jobs must be at least 1"),
         (("run",), "no blind cases"),
         (("score",), "no blind cases"),
+        (("rigs", "--seeds", "0:99999999999"), "10000 rigs at most"),
+        (("rigs", "--seeds", "0:10001"), "10000 rigs at most"),
     ],
 )
 def test_refusals_are_sentences(

@@ -28,6 +28,14 @@ def test_what_is_ignored_stays_ignored() -> None:
         signal.signal(signal.SIGHUP, before)
 
 
+def test_ctrl_c_while_a_kernel_hands_over_its_result_is_ctrl_c() -> None:
+    """As numba answers where it comes while an array is made of a result."""
+    with pytest.raises(KeyboardInterrupt), terminate_as_interrupt():
+        raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
+    with pytest.raises(SystemError), terminate_as_interrupt():
+        raise SystemError("of another cause") from ValueError()
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_one_signal_waits_and_a_second_one_breaks_in(number: int) -> None:
     with terminate_as_interrupt(), deferred_interrupts() as deferred:

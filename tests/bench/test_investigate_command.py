@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
 from nmt_bench.cli import main
+from nmt_bench.command_parser import EXIT_FAILED
 from nmt_bench.commands.investigate_command import reason_of_failure
 from nmt_diagnose.investigation.investigation_record import InvestigationRecord
 
@@ -29,6 +31,8 @@ RIG = ("--rig", "joint_resonator")
         ((*RIG, "--levels", "0.1,51"), "51 V"),
         ((*RIG, "--latency-blocks", "-1"), "latency"),
         (RIG, "--allow-own-model"),
+        (("--rig", "van_der_pol"), "Mode 1 of van_der_pol feeds its motion (damping -6 %)"),
+        (("--real", "/"), "The folder / is not a bag"),
     ],
 )
 def test_refusals_are_sentences(
@@ -60,6 +64,18 @@ def test_a_failed_test_is_told_by_its_first_refusal() -> None:
     assert reason_of_failure("ready\n[recorder] closed\n", died) == "The node pll died."
     assert reason_of_failure("ready\n[recorder] closed\n", {}) == "[recorder] closed"
     assert reason_of_failure("", {}) == ""
+
+
+def test_a_test_that_fails_ends_with_the_code_of_a_failure(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 2 is for mistakes that change by another command; the same command goes on after a failure."""
+    monkeypatch.setattr("sys.executable", shutil.which("false"))
+    words = ["investigate", "joint_resonator", *RIG, "--allow-own-model", "--quiet", "--out", str(tmp_path / "out")]
+    assert main(words) == EXIT_FAILED == 1
+    error = capsys.readouterr().err
+    assert "Test 01_linear failed" in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize("other", ["model", "real", "calibration", "changes"])

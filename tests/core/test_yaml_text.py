@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import random
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import yaml
 
 import nmt_rig
 from nmt_core.files import yaml_text as module
-from nmt_core.files.hardened import BoundedYaml, fast_loader
-from nmt_core.files.yaml_document import yaml_mapping
+from nmt_core.files.hardened import BoundedYaml, fast_loader, yaml_value
+from nmt_core.files.yaml_document import parse_document, yaml_mapping
 from nmt_rig.rig import load_rig
 
 RIGS = Path(nmt_rig.__file__).parent / "rigs"
@@ -47,6 +48,24 @@ def test_the_text_loads_to_the_value(yaml_text, sort_keys, ascii_only):
     assert list(found) == (sorted(VALUE) if sort_keys else list(VALUE))
     assert text.isascii() == ascii_only
     assert "&id" not in text
+
+
+def test_texts_that_one_version_of_yaml_takes_for_numbers_stay_texts(yaml_text):
+    words = ["190:20:30", "010", "08", "0o17", "1_000", "0b11", "1e-4", "12", "1:15:10"]
+    text = yaml_text({"words": words})
+    assert yaml.safe_load(text)["words"] == words
+    assert parse_document(text, "x").values["words"] == words
+
+
+@pytest.mark.parametrize("separator", [":", ",", "_"])
+def test_a_number_is_decimal_and_a_plan_is_a_text(separator: str) -> None:
+    generator = random.Random(separator)
+    for _ in range(40):
+        parts = [str(generator.randrange(1, 60)) for _ in range(3)]
+        plan, zeros = separator.join(parts), f"00{parts[0]}"
+        document = parse_document(f"plan: {plan}\nnumber: {zeros}", "x")
+        assert document.values == {"plan": plan, "number": int(parts[0])}
+        assert yaml_value(f"plan: {plan}\nnumber: {zeros}", "x") == document.values
 
 
 def test_other_types_are_refused(yaml_text):

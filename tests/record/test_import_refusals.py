@@ -145,6 +145,8 @@ CASES: dict[str, tuple[Case, str]] = {
     "unknown kind": (of_sidecar(set_item("segments", 0, "kind", value="random_walk")), "kind must be.*random_walk"),
     "no channels": (of_sidecar(set_item("channels", value=[])), "neither channels nor"),
     "no rate and no time": (of_sidecar(set_item("sample_rate", value=None)), "sample_rate: … in Hz or time: …"),
+    "point of 20 digits": (of_sidecar(set_item("channels", 0, "point", value=10**20)), "point must be at most"),
+    "delay of ages": (of_sidecar(set_item("channels", 0, "delay_s", value=1e29)), "delay_s must be at most 10"),
     "rate zero": (of_sidecar(set_item("sample_rate", value=0)), "sample_rate must be positive"),
     "rate not finite": (
         of_sidecar(set_item("sample_rate", value=float("nan"))),

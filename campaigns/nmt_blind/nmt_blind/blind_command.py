@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from nmt_bench.page.task_feed import TaskFeed
 
+_MOST_RIGS = 10_000  # that one command makes
 RIGS = ("beam", "joint_resonator", "modal_beam")
 TOLERANCES = ("laboratory", "none")
 
@@ -363,6 +364,8 @@ def _rigs(options: RigsOptions) -> int:
     first, _, end = options.seeds.partition(":")
     if not (first.isdigit() and end.isdigit() and int(first) < int(end)):
         raise BenchError(f"--seeds are the first and the one after the last, such as 0:20; got {options.seeds}.")
+    if len(end) > 9 or int(end) - int(first) > _MOST_RIGS:
+        raise BenchError(f"--seeds {options.seeds}: {_MOST_RIGS} rigs at most, and seeds of nine digits at most.")
     names = make_rigs(options.out, options.rig, range(int(first), int(end)), options.tolerances)
     _console().print(f"{len(names)} rigs in {options.out}", soft_wrap=True)
     return EXIT_DONE

@@ -169,11 +169,18 @@ def make_rigs(out: Path, rig_name: str, seeds: Sequence[int], tolerances: str = 
             continue
         operating = operating or operating_point(model, rig.bench)
         wanted = KINDS[0 if seed % 3 == 0 else 1]
-        drawn = draw_cases(model, operating, 24, seed, (wanted,))
         # A healthy rig whose parameters are those of its model would be the model itself.
         case = next(
-            case for case in drawn if (case.effects or case.shifted) and all(_stands_out(it) for it in case.effects)
+            (
+                case
+                for count in (24, 240)
+                for case in draw_cases(model, operating, count, seed, (wanted,))
+                if (case.effects or case.shifted) and all(_stands_out(it) for it in case.effects)
+            ),
+            None,
         )
+        if case is None:
+            raise BenchError(f"No effect that seed {seed} draws stands out of the noise; leave this seed out.")
         folder.mkdir(parents=True, exist_ok=True)
         edits = list(case.edits)
         if tolerances != "none":

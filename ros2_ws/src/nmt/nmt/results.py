@@ -1,7 +1,8 @@
 """Results of the bench's commands as frozen objects: tables, arrays, plots, files.
 
 Every class has all of ``rows``, ``to_dataframe``, ``to_xarray``, ``export``, ``plot``, ``figures``. ``to_dataframe``
-needs pandas and ``to_xarray`` needs xarray, which ``pip install '.[analysis]'`` in a clone brings; all else works without them.
+needs pandas and ``to_xarray`` needs xarray, which ``pip install '.[analysis]'`` in a clone brings; all else works
+without them.
 """
 
 from __future__ import annotations
@@ -170,7 +171,9 @@ def _pandas() -> Any:
     try:
         import pandas
     except ModuleNotFoundError as error:
-        raise BenchError("Tables need pandas, which is not installed; in a clone: pip install '.[analysis]'.") from error
+        raise BenchError(
+            "Tables need pandas, which is not installed; in a clone: pip install '.[analysis]'."
+        ) from error
     return pandas
 
 
@@ -178,7 +181,9 @@ def _xarray() -> Any:
     try:
         import xarray
     except ModuleNotFoundError as error:
-        raise BenchError("Datasets need xarray, which is not installed; in a clone: pip install '.[analysis]'.") from error
+        raise BenchError(
+            "Datasets need xarray, which is not installed; in a clone: pip install '.[analysis]'."
+        ) from error
     return xarray
 
 

@@ -29,19 +29,19 @@ from typing import TYPE_CHECKING, NoReturn
 
 from nmt_bench.command_parser import (
     EXIT_DONE,
+    EXIT_FAILED,
     EXIT_INTERRUPTED,
     EXIT_USER,
     CommandParser,
     CommandRefusal,
 )
+from nmt_bench.orchestration.interrupts import interrupts_of_kernels
 from nmt_core.bench_version import bench_version
-from nmt_core.errors import BenchError
+from nmt_core.errors import BenchError, FailedError
 from nmt_core.processes.process_end import end_process
 
 if TYPE_CHECKING:
     from pathlib import Path
-
-EXIT_UNEXPECTED = 1
 
 PROGRAM = "nmt" if os.path.basename(sys.argv[0]) == "nmt" else "./nmt"
 """As the user calls it: the script that pip installs, or the launcher, which starts ``python -m nmt_bench``."""
@@ -197,7 +197,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader of our output has gone (``| head``): nobody is left to tell. Python would complain at
         # exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_UNEXPECTED
+        return EXIT_FAILED
 
 
 class _End:
@@ -244,7 +244,8 @@ def _run(words: list[str], end: _End) -> int:
         end.arguments = parser.parse_args(words)
         if end.arguments.command is None:
             parser.error("a command is missing")
-        return run_parsed(end.arguments)
+        with interrupts_of_kernels():
+            return run_parsed(end.arguments)
     except CommandRefusal as refusal:
         end.sentence = refusal.sentence
         return EXIT_USER
@@ -252,7 +253,7 @@ def _run(words: list[str], end: _End) -> int:
         return stop.code if isinstance(stop.code, int) else EXIT_DONE if stop.code is None else EXIT_USER
     except BenchError as error:
         end.sentence = _complain(command, str(error))
-        return EXIT_USER
+        return EXIT_FAILED if isinstance(error, FailedError) else EXIT_USER
     except ModuleNotFoundError as error:
         library = (error.name or "nmt_").partition(".")[0]
         if library.startswith("nmt_") and library not in _ROS_MODULES:
@@ -359,7 +360,7 @@ def _unexpected(command: str | None, error: Exception, words: Sequence[str], end
     log = write_error_log(words)
     sentence = f"This should not have happened ({type(error).__name__}: {_first_line(error)}); details are in {log}."
     end.sentence = _complain(command, sentence)
-    return EXIT_UNEXPECTED
+    return EXIT_FAILED
 
 
 def _complain(command: str | None, sentence: str) -> str:

@@ -9,3 +9,7 @@ class BenchError(Exception):
     The message is one sentence that says what is wrong, where, and how to fix it. The command line prints it
     and exits with code 2; nodes log it and refuse to start.
     """
+
+
+class FailedError(BenchError):
+    """Something that was asked for rightly did not succeed, such as a test that ended early; exit code 1."""

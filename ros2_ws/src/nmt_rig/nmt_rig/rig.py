@@ -55,6 +55,8 @@ from nmt_rig.structure_sections import ResidualSection as ResidualSection
 from nmt_rig.structure_sections import StructureSection as StructureSection
 from nmt_rig.structure_sections import point_words
 
+ROBOT_ENDINGS = (".xml", ".mjcf", ".urdf")
+"""Of files that are robots; rigs end otherwise."""
 _HYSTERESIS_POINTS = ("excited_point", "middle_point", "free_point")
 
 
@@ -344,6 +346,11 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = (), vibrating:
         nmt_core.errors.BenchError: there is no rig wing...
     """
     path = find_rig(path_or_name)
+    if path.suffix.lower() in ROBOT_ENDINGS:
+        raise BenchError(
+            f"{path} is a robot's file, and this takes a rig's; a robot and a log of its joints go to "
+            f"'./nmt diagnose --model {path} --real LOG --out DIR'."
+        )
     document, overrides = with_one_exciter(read_document(path), overrides)
     # What the structure's files hold can be changed too: those that say which file come first.
     first = [text for text in overrides if names_files(text.partition("=")[0].strip())]

@@ -29,7 +29,9 @@ def run(options: CompletionOptions) -> int:
     try:
         import shtab
     except ModuleNotFoundError as error:
-        raise BenchError("'shtab' is not installed; type in a clone of the bench: pip install '.[completion]'.") from error
+        raise BenchError(
+            "'shtab' is not installed; type in a clone of the bench: pip install '.[completion]'."
+        ) from error
     parser = build_parser(*all_commands())
     parser.prog = "nmt"
     sys.stdout.write(shtab.complete(parser, options.shell) + "\n")

@@ -20,7 +20,7 @@ from nmt_bench.commands.requested_test import command_text, command_words
 from nmt_bench.commands.shared_options import dated_folder_option, device_option, jobs_option, latency_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_bench.orchestration.interrupts import terminate_as_interrupt
-from nmt_core.errors import BenchError
+from nmt_core.errors import BenchError, FailedError
 from nmt_core.kinds import RandomTest
 from nmt_core.options import argument, option
 
@@ -135,7 +135,11 @@ def run(options: InvestigateOptions) -> int:
         raise BenchError(f"The folder {options.out} holds something else; choose another one with --out.")
     bench = _Bench(options, model, jobs, console, calibration)
     if settings is None:
-        record = bench.propose(replace(record, bags=bags, ended="", conclusion=""))
+        try:
+            record = bench.propose(replace(record, bags=bags, ended="", conclusion=""))
+        finally:
+            if made and not any(options.out.iterdir()):
+                options.out.rmdir()
         bench.show(record)
         return EXIT_DONE
     # What ended for want of time or by a person may go on.
@@ -175,7 +179,13 @@ def _settings(options: InvestigateOptions, model: Rig) -> InvestigationSettings:
     rig = load_rig(name, options.set)
     levels = tuple(sorted(set(parse_levels(options.levels or rig.test.levels))))
     bench = device_settings(_Driven(name, options.set, options.device), options.latency_blocks)
-    plan_test(name, levels, overrides=options.set, window_periods=options.periods, **bench)
+    plan = plan_test(name, levels, overrides=options.set, window_periods=options.periods, **bench)
+    for number, ratio in enumerate(plan.used_linear.damping_ratios if plan.used_linear is not None else (), 1):
+        if ratio <= 0.0:
+            raise BenchError(
+                f"Mode {number} of {name} feeds its motion (damping {100.0 * ratio:.2g} %), and an investigation "
+                "drives structures that rest without a drive; measure it by './nmt run --kind self_excited'."
+            )
     band = 0.1 * rig.sample_rate_hz, 0.2 * rig.sample_rate_hz
     plan_test(name, [levels[0]], overrides=options.set, test="random", band_hz=band, duration=options.random, **bench)
     hardware = bench.get("device", "") in DEVICE_KINDS
@@ -393,7 +403,7 @@ def measure(
 
     Raises:
         EmptyTestError: it was carried out, and no level of it locked.
-        BenchError: it was refused, or it failed.
+        FailedError: it was refused, or it failed.
     """
     from nmt_diagnose.investigation.investigation_record import EmptyTestError
 
@@ -420,7 +430,7 @@ def measure(
                 f"No level of test {test.name} locked; it is left out. See {log}.", _bench_time(folder)
             )
         why = reason_of_failure(log.read_text(encoding="utf-8", errors="replace"), result) or f"it ended with {code}"
-        raise BenchError(
+        raise FailedError(
             f"Test {test.name} failed: {why.rstrip('.')}; its drive is at zero, and what it recorded is left out. See "
             f"{log}; the same command tries it again."
         )

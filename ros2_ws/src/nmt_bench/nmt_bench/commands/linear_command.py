@@ -123,7 +123,7 @@ def measure_noise(options: LinearOptions, band: tuple[float, float], console: An
     """Run the random test and evaluate it; returns the exit code."""
     from nmt_bench.commands.run_command import measure, pace_line
     from nmt_bench.commands.work_display import WorkDisplay
-    from nmt_bench.orchestration.interrupts import terminate_as_interrupt
+    from nmt_bench.orchestration.interrupts import interrupts_of_kernels, terminate_as_interrupt
     from nmt_core.vocabulary import ResultCode
     from nmt_record.bag.bag_reader import Bag
     from nmt_rig.rig import load_rig
@@ -149,7 +149,7 @@ def measure_noise(options: LinearOptions, band: tuple[float, float], console: An
             console.print(result.message, style="yellow")
             return EXIT_FAILED
         try:
-            with WorkDisplay(console, _STEPS[:1], options.quiet):
+            with interrupts_of_kernels(), WorkDisplay(console, _STEPS[:1], options.quiet):
                 recording = Bag.open(result.bag)
                 evaluated = _evaluate(recording, options, band)
         except KeyboardInterrupt:

@@ -28,7 +28,7 @@ from nmt_bench.commands.shared_options import (
     seed_option,
     set_option,
 )
-from nmt_bench.orchestration.interrupts import deferred_interrupts, terminate_as_interrupt
+from nmt_bench.orchestration.interrupts import deferred_interrupts, interrupts_of_kernels, terminate_as_interrupt
 from nmt_core.errors import BenchError
 from nmt_core.options import argument, option
 
@@ -386,7 +386,8 @@ def evaluate(
         found.interrupted = deferred.came
         if not found.interrupted:
             tell("computing the reference")
-            found.reference = _reference(choice, bench, result, console)
+            with interrupts_of_kernels():
+                found.reference = _reference(choice, bench, result, console)
     except KeyboardInterrupt:
         found.interrupted = True
     if found.unwritten:
@@ -397,7 +398,8 @@ def evaluate(
 
     try:
         tell("computing the uncertainties")
-        found.unwritten = _saving(folder, write)
+        with interrupts_of_kernels():
+            found.unwritten = _saving(folder, write)
     except KeyboardInterrupt:
         found.interrupted, found.unwritten = True, _stopped(folder)
     return found
@@ -409,7 +411,8 @@ def write_report_of(result: RunResult, folder: Path, found: Evaluation) -> None:
 
     try:
         tell("drawing the report")
-        found.unwritten = _saving(folder, lambda: _write_report(result, folder, found.reference, found.budgets))
+        with interrupts_of_kernels():
+            found.unwritten = _saving(folder, lambda: _write_report(result, folder, found.reference, found.budgets))
     except KeyboardInterrupt:
         found.interrupted, found.unwritten = True, _stopped(folder)
 

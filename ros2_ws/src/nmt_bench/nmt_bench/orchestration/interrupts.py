@@ -14,6 +14,20 @@ _ALL = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @contextlib.contextmanager
+def interrupts_of_kernels() -> Iterator[None]:
+    """Let an interrupt that comes while compiled code hands over its result be an interrupt.
+
+    numba returns with it pending, which Python takes for a fault of the compiled function (``SystemError``).
+    """
+    try:
+        yield
+    except SystemError as error:
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
+        raise
+
+
+@contextlib.contextmanager
 def terminate_as_interrupt() -> Iterator[None]:
     """Let SIGTERM and SIGHUP (a dropped connection) end a test as Ctrl-C does: by a ramp to zero.
 
@@ -25,7 +39,7 @@ def terminate_as_interrupt() -> Iterator[None]:
             _leave_terminal()
         raise KeyboardInterrupt
 
-    with _handled((signal.SIGTERM, signal.SIGHUP), interrupt):
+    with _handled((signal.SIGTERM, signal.SIGHUP), interrupt), interrupts_of_kernels():
         yield
 
 

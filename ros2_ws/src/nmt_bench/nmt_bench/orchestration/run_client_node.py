@@ -157,9 +157,10 @@ class RunClient(Node):  # type: ignore[misc]
         if "converter_delay" in plant:
             stated = plant.get("converter_stated", "-1")
             said = "" if stated.startswith("-") else f" (the driver says {stated})"
+            clock = plant["converter_clock_ppm"]  # nan where the run was too short to tell
             lines.append(
                 f"Converter: round trip {plant['converter_round_trip']} samples{said}, moved by "
-                f"{plant['converter_drift']}; clock {plant['converter_clock_ppm']} ppm; samples lost in "
+                f"{plant['converter_drift']}; {'' if clock == 'nan' else f'clock {clock} ppm; '}samples lost in "
                 f"{plant['converter_lost_turns']} turns; priority: converter {plant['converter_priority']}, plant "
                 f"{plant['plant_priority']}; lateness {plant.get('lateness_histogram', 'not counted')}."
             )

@@ -34,6 +34,7 @@ LARGEST_ARRAYS = 2**29  # bytes of all arrays of a file together, as double prec
 LARGEST_NUMBER = 1e30
 SMALLEST_NUMBER = 1e-25  # but for zero
 _MOST_NODES = 20_000
+_INTEGER_TAG = "tag:yaml.org,2002:int"
 _MOST_JSON_NODES = 5_000_000
 _DEEPEST = 40
 # What PyYAML's constructors raise for a value that does not fit its tag, besides YAMLError.
@@ -118,11 +119,11 @@ class _Bounded(yaml.composer.Composer):
 
 
 class BoundedYaml(_Bounded, yaml.SafeLoader):
-    """SafeLoader with YAML 1.2 floats and without dates, that gives up early on what is too large or too deep."""
+    """SafeLoader with the numbers of YAML 1.2 and without dates; gives up early on what is too large or too deep."""
 
 
 BoundedYaml.yaml_implicit_resolvers = {
-    letter: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(("float", "timestamp"))]
+    letter: [(tag, pattern) for tag, pattern in resolvers if not tag.endswith(("int", "float", "timestamp"))]
     for letter, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
 BoundedYaml.add_implicit_resolver(
@@ -133,6 +134,18 @@ BoundedYaml.add_implicit_resolver(
     ),
     list("-+0123456789."),
 )
+# YAML 1.1 would read 1:15:10 to the base 60 and 010 to the base 8.
+BoundedYaml.add_implicit_resolver(
+    _INTEGER_TAG, re.compile(r"^(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)$"), list("-+0123456789")
+)
+
+
+def _construct_integer(loader: yaml.SafeLoader, node: yaml.ScalarNode) -> int:
+    text = str(loader.construct_scalar(node))
+    return int(text, 0 if text[:2] in ("0o", "0x") else 10)
+
+
+BoundedYaml.add_constructor(_INTEGER_TAG, _construct_integer)
 
 
 @cache
@@ -143,6 +156,7 @@ def fast_loader() -> type[Any]:
 
     class FastYaml(_Bounded, yaml.CSafeLoader):
         yaml_implicit_resolvers = BoundedYaml.yaml_implicit_resolvers
+        yaml_constructors = BoundedYaml.yaml_constructors
 
         def __init__(self, stream: str) -> None:
             yaml.CSafeLoader.__init__(self, stream)

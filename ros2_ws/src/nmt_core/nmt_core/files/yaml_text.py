@@ -6,6 +6,8 @@ from typing import Any
 
 import yaml
 
+from nmt_core.files.hardened import BoundedYaml
+
 _Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 
 
@@ -14,6 +16,13 @@ class _PlainDumper(_Dumper):  # type: ignore[misc]
 
     def ignore_aliases(self, data: Any) -> bool:
         return True
+
+
+# A text that either YAML 1.1 or the bench's reader takes for a number is quoted.
+_PlainDumper.yaml_implicit_resolvers = {
+    letter: [*_Dumper.yaml_implicit_resolvers.get(letter, ()), *resolvers]
+    for letter, resolvers in BoundedYaml.yaml_implicit_resolvers.items()
+}
 
 
 def yaml_text(value: Any, sort_keys: bool = False, ascii_only: bool = False) -> str:

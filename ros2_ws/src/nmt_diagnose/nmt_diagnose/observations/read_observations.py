@@ -204,15 +204,16 @@ def _read_windows(
 
 
 def bag_digest(path: Path) -> str:
-    """SHA-256 over the data files of a bag, in the order of their names.
+    """SHA-256 over the data files of a bag, or of a results folder's bag, in the order of their names.
 
     Raises:
         BenchError: a file cannot be read.
     """
-    found = sorted(item for item in path.rglob("*") if item.suffix in (".mcap", ".db3"))
-    files = [path] if path.is_file() else found
     digest = hashlib.sha256()
     try:
+        folders = [folder for folder in (path, path / "bag") if folder.is_dir()]
+        found = sorted(item for folder in folders for item in folder.iterdir() if item.suffix in (".mcap", ".db3"))
+        files = [path] if path.is_file() else found
         for file in files:
             with open(file, "rb") as handle:
                 while chunk := handle.read(1 << 20):

@@ -16,16 +16,14 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_text
+from nmt_rig.rig import ROBOT_ENDINGS
 
 Array = np.ndarray[Any, Any]
-
-ENDINGS = (".xml", ".mjcf", ".urdf")
-"""Of files that are robots; rigs end otherwise."""
 
 
 def is_robot_file(name: str | Path) -> bool:
     """Whether a model is a robot's file and no rig."""
-    return Path(name).suffix.lower() in ENDINGS
+    return Path(name).suffix.lower() in ROBOT_ENDINGS
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,8 @@ from nmt_core.vocabulary import TestKind
 from nmt_record.exchange.unit_table import measured_quantity, si_unit
 
 Positive = Annotated[float, Field(gt=0)]
+PointNumber = Annotated[int, Field(ge=0, le=99_999_999)]
+LONGEST_DELAY_S = 10.0
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
 QuantityName = Literal[
     "force", "displacement", "velocity", "acceleration", "voltage", "current",
@@ -85,10 +87,10 @@ class ChannelSection(_Section):
     column: str | int
     quantity: QuantityName
     unit: str
-    point: Annotated[int, Field(ge=0)] = 0
+    point: PointNumber = 0
     scale: float = 1.0
     sign: Literal[1, -1] | None = None
-    delay_s: float = 0.0
+    delay_s: Annotated[float, Field(ge=-LONGEST_DELAY_S, le=LONGEST_DELAY_S)] = 0.0
     wrap: Annotated[float, Field(ge=0)] | None = None
     no_value: float | None = None
     force_factor: Positive | None = None
@@ -210,8 +212,8 @@ class TableSection(_Section):
     file: str | None = None
     columns: dict[str, str | int] = {}
     units: dict[str, str] = {}
-    point: Annotated[int, Field(ge=0)] = 0
-    drive_point: Annotated[int, Field(ge=0)] = 0
+    point: PointNumber = 0
+    drive_point: PointNumber = 0
     level: float | None = None
     level_unit: str = ""
     held: Literal["force", "response", "base", "voltage"] | None = None
@@ -291,7 +293,7 @@ class Sidecar(_Section):
     levels: str | None = None
     locks: str | None = None
     plan: dict[str, Any] | None = None
-    exciter_points: list[int] | None = None
+    exciter_points: list[PointNumber] | None = None
     first_sample: Annotated[int, Field(ge=0)] = 0
     repeatability: RepeatabilitySection | None = None
     run_id: str | None = None

@@ -137,6 +137,19 @@ def test_check_offers_no_simulated_device(capsys: pytest.CaptureFixture[str]) ->
     assert "simulated," in run(capsys, "run", "--help")[1]
 
 
+def test_a_rig_file_is_checked_by_loading_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "one.yaml"
+    file.write_text("name: one\nstructure: {kind: modal, modes: [{frequency_hz: 30, damping_ratio: 0.01}]}\n")
+    status, out, _ = run(capsys, "rigs", "--check", str(file))
+    assert status == 0
+    assert "structure: modal, point 1 only" in out
+    assert "frequencies: 30 Hz, damping ratios 1 %" in out
+    file.write_text("name: one\nstructure: {kind: modal, modes: [{frequency_hz: 30, damping: 0.01}]}\n")
+    status, _, err = run(capsys, "rigs", "--check", str(file))
+    assert status == 2
+    assert "one.yaml line 2: unknown key structure.modes.0.damping" in err
+
+
 def test_rigs_are_listed_with_their_descriptions(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

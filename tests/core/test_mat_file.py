@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import sparse
 from scipy.io import savemat
 
 from nmt_core.errors import BenchError
@@ -110,6 +111,57 @@ def test_claims_are_weighed_before_memory_is_taken(tmp_path: Path) -> None:
     (tmp_path / "claim.mat").write_bytes(header + struct.pack("<II", 14, len(body)) + body)
     with pytest.raises(BenchError):
         read_mat(tmp_path / "claim.mat", "data file")
+
+
+def test_chunks_and_references_are_weighed_as_they_are_unpacked(tmp_path: Path) -> None:
+    """Kilobytes of which one number takes a gigabyte to read, or each reference an object."""
+    with h5py.File(tmp_path / "chunk.mat", "w") as file:
+        few = file.create_dataset("K", (8,), "f8", chunks=(2**18,), maxshape=(None,), compression="gzip")
+        few[:] = 1.0
+    with pytest.raises(BenchError, match="more than the 1 MiB"):
+        read_mat(tmp_path / "chunk.mat", "data file", largest=2**20)
+    assert read_mat(tmp_path / "chunk.mat", "data file", largest=2**21)["K"].tolist() == [1.0] * 8
+    with h5py.File(tmp_path / "long.mat", "w") as file:
+        file.create_dataset("K", (2**17,), "longdouble", chunks=(2**10,), compression="gzip")
+    with pytest.raises(BenchError, match="more than the 1 MiB"):
+        read_mat(tmp_path / "long.mat", "data file", largest=2**20)
+    with h5py.File(tmp_path / "cells.mat", "w") as file:
+        file["a"] = np.zeros(2)
+        file.create_dataset("K", (2**16,), h5py.ref_dtype, chunks=(2**10,), compression="gzip")[0] = file["a"].ref
+    with pytest.raises(BenchError, match="too many entries"):
+        read_mat(tmp_path / "cells.mat", "data file")
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_sparse_matrices_of_version_7_3_are_those_of_version_5(tmp_path: Path, seed: int) -> None:
+    random = np.random.default_rng(seed)
+    density = 0.0 if seed == 0 else 0.3
+    matrix = sparse.random(*random.integers(1, 30, 2), density, "csc", random_state=seed)
+    savemat(tmp_path / "five.mat", {"K": matrix})
+    with h5py.File(tmp_path / "seven.mat", "w", userblock_size=512) as file:
+        group = file.create_group("K")
+        group.attrs["MATLAB_class"], group.attrs["MATLAB_sparse"] = np.bytes_("double"), np.uint64(matrix.shape[0])
+        if matrix.nnz:  # MATLAB leaves the others out
+            group["data"], group["ir"] = matrix.data, matrix.indices.astype("u8")
+        group["jc"] = matrix.indptr.astype("u8")
+    with open(tmp_path / "seven.mat", "r+b") as raw:
+        raw.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    five, seven = (read_mat(tmp_path / f"{name}.mat", "matrix file") for name in ("five", "seven"))
+    assert five.keys() == seven.keys()
+    for name, values in five.items():
+        np.testing.assert_array_equal(values, seven[name])
+
+
+@pytest.mark.parametrize(("key", "values"), [("jc", [0, 5]), ("ir", [7, 0]), ("ir", [0]), ("jc", [0, 2, 1, 2])])
+def test_a_sparse_matrix_that_points_outside_itself_is_refused(tmp_path: Path, key: str, values: list[int]) -> None:
+    parts = {"data": [1.0, 2.0], "ir": [0, 1], "jc": [0, 1, 2]} | {key: values}
+    with h5py.File(tmp_path / "seven.mat", "w") as file:
+        group = file.create_group("K")
+        group.attrs["MATLAB_sparse"] = np.uint64(2)
+        for name, part in parts.items():
+            group[name] = np.array(part, dtype="f8" if name == "data" else "u8")
+    with pytest.raises(BenchError, match="sparse matrix /K points outside itself"):
+        read_mat(tmp_path / "seven.mat", "matrix file")
 
 
 def test_a_process_with_limits_of_its_own_reads(tmp_path: Path) -> None:

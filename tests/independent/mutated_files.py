@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rig.superelement_files import FORMS, write
+from rig.superelement_files import FORMS, REPORTED, reported, write
 from rig.test_matrix_files import mutated, written
 
 from nmt_bench.data_import import import_data
@@ -38,6 +38,7 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.sidecar.calibration_file import read_calibration
 from nmt_rig.file_errors import BadFileError
 from nmt_rig.matrix_files import read_model
+from nmt_rig.model_figures import model_figures
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
 from nmt_rig.rig_places import find_rig, rig_names
@@ -76,6 +77,12 @@ def _matrix_kinds(folder: Path) -> list[Kind]:
         for key, path in paths.items():
             if path.exists():
                 kinds.append(Kind(f"model {form}, {key}", path, lambda paths=paths: read_model(paths)))  # type: ignore[misc]
+    for form in REPORTED:
+        place = folder / form.replace(" ", "-")
+        place.mkdir()
+        paths, _ = reported(form, 1, place)
+        path = next(iter(paths.values()))
+        kinds.append(Kind(f"model {form}", path, lambda paths=paths: model_figures(paths, "m-kg-N")))  # type: ignore[misc]
     return kinds
 
 

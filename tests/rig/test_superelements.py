@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rig.superelement_files import FORMS, cantilever, entry_list, op2, write
+from rig.superelement_files import FORMS, REPORTED, cantilever, entry_list, op2, reported, write
 from rig.test_matrix_files import mutated
 from scipy import sparse
 from scipy.linalg import eigh
@@ -22,7 +22,7 @@ from nmt_rig.named_rows import Units
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
 from nmt_rig.rig_snapshot import rig_text
-from nmt_rig.superelement_texts import quantity_of
+from nmt_rig.superelement_texts import matrix_names, quantity_of
 
 BEAM = load_rig("beam")
 
@@ -69,6 +69,25 @@ def test_a_rig_names_its_points_by_node(tmp_path, form):
         np.testing.assert_allclose(
             getattr(structure, name)[np.ix_(found, found)], getattr(beam, name)[np.ix_(rows, rows)], rtol=2e-9
         )
+
+
+@pytest.mark.parametrize("kind", REPORTED)
+@pytest.mark.parametrize(
+    "seeds", [range(6), pytest.param(range(6, 100), marks=pytest.mark.campaign)], ids=["few", "all"]
+)
+def test_reported_files_are_right_or_refused_by_what_is_wrong(tmp_path, kind, seeds):
+    """Against the frequencies of the matrices that the file was written from."""
+    for seed in seeds:
+        folder = tmp_path / str(seed)
+        folder.mkdir()
+        paths, right = reported(kind, seed, folder)
+        if isinstance(right, str):
+            with pytest.raises(BenchError, match=right):
+                model_figures(paths, "m-kg-N")
+        else:
+            # Fields of eight characters have three to five figures.
+            found = 2.0 * np.pi * np.array(model_figures(paths, "m-kg-N").frequencies_hz[:2])
+            np.testing.assert_allclose(found, right, rtol=2e-2, err_msg=f"{kind} {seed}")
 
 
 @pytest.mark.parametrize("form", ["dmig large", "npz", "rows beside a sparse matrix"])
@@ -191,6 +210,36 @@ def test_a_single_matrix_is_named_by_its_last_word_and_sent_to_the_others(tmp_pa
         model_figures({"file": tmp_path / "plate_K.npz"}, "m-kg-N")
 
 
+def test_a_stiffness_may_have_a_number_and_structural_damping_is_none(tmp_path):
+    assert matrix_names(["K40", "M40"]) == {"stiffness": "K40", "mass": "M40"}
+    assert matrix_names(["K4", "M4"]) == {"stiffness": "K4", "mass": "M4"}
+    assert matrix_names(["KGG", "K4GG", "MGG"]) == {"stiffness": "KGG", "mass": "MGG"}
+    assert matrix_names(["K", "K4X", "M"]) == {"stiffness": "K", "mass": "M"}
+
+
+def test_the_line_of_an_error_is_that_of_its_key(tmp_path):
+    paths = write("npz", tmp_path)
+    text = rig_text(BEAM, None, ["x=y"])
+    end = text[text.index("local_elements:") :]
+    lines = ["name: strip", "structure:", "  kind: matrices", f"  file: {paths['file'].name}", "  modes: 3"]
+    lines += ["  points_at:", *(f"  - {{point: {p}, node: {10 * p}, direction: z}}" for p in range(1, 8))]
+    lines += ["  regions:", "    left rib: {nodes: [10, 20]}"]
+
+    def refusal(line, other):
+        changed = [*lines[: line - 1], other, *lines[line:]]
+        (tmp_path / "rig.yaml").write_text("\n".join(changed) + "\n" + end)
+        with pytest.raises(BenchError) as caught:
+            load_rig(tmp_path / "rig.yaml")
+        return str(caught.value)
+
+    assert refusal(5, "  modes: 30").startswith("rig.yaml line 14: 7 modes are left")
+    assert refusal(9, "  - {point: 3, node: 31, direction: z}").startswith("rig.yaml line 9: point 3: node 31 is not")
+    huge = "  - {point: 3, node: 99999999999999999999999, direction: z}"
+    assert refusal(9, huge).startswith("rig.yaml line 9: point 3: it has a number of a node beyond 10¹²")
+    assert refusal(15, "    left rib: {nodes: [11]}").startswith("rig.yaml line 15: region left rib: node 11 is not")
+    assert refusal(5, "  units: mm").startswith("rig.yaml line 5: units are length")
+
+
 def test_held_and_empty_rows_are_left_out(tmp_path):
     matrices, rows, _ = cantilever()
     stiffness = matrices["stiffness"].copy()
@@ -249,6 +298,14 @@ def test_points_that_are_not_there_are_named(tmp_path, entry, says):
         ("job.pch", "DMIG,KA,0,6,2,0\nDMIG,KB,0,6,2,0\nDMIG,KA,1,1,,1,1,2.\nDMIG,KB,1,1,,1,1,2.\n", "KA and KB could"),
         ("job.pch", "DMIG,KA,0,6,2,0\nDMIG,KA,1,1,,1,1,stiff\n", "is not whole"),
         ("job.sti", "1 1 2.\n9 9 1.\n", "9 rows, and job.dof names 1"),
+        ("job.pch", "DMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,1+9999\n", r"1\+9999 is no finite number"),
+        ("job.pch", f"DMIG,K,0,6,2,0\nDMIG,K,1,1,,{'9' * 23},1,2.\n", "names a node that is no node"),
+        ("job.pch", f"DMIG,K,0,6,2,0\nDMIG,K,{'9' * 23},1,,1,1,2.\n", "names a node that is no node"),
+        ("job.pch", f"GRID,{'9' * 23},,0.,0.,0.\nDMIG,K,0,6,2,0\nDMIG,K,1,1,,1,1,2.\n", "a node beyond 10¹²"),
+        ("job.pch", f"EXTRN,{'9' * 23},3\n", "it has no square matrix|beyond 10¹²"),
+        ("job.mtx", f"*USER ELEMENT\n** ELEMENT NODES\n** {'9' * 23}\n3\n*MATRIX, TYPE=MASS\n1.\n", "beyond 10¹²"),
+        ("k_stif.mtx", "*INCLUDE, INPUT=more.mtx\n1,1,1,1,2.\n", "it includes more.mtx"),
+        ("k_stif.mtx", "1,1,1,1,2.\n2,1,2,1,2.\n1,1,1,1,2.\n", "it has the entry node 1 x, node 1 x twice"),
         ("job.sub", "", r"no package reads \.sub"),
     ],
 )

@@ -5,3 +5,15 @@ from __future__ import annotations
 
 class BadFileError(ValueError):
     """What is wrong with a file that a structure is read from, and how to fix it."""
+
+
+class KeyOfRigError(BadFileError):
+    """What is wrong with the value of a key of the rig file, beside what its files hold.
+
+    Attributes:
+        path: of the key.
+    """
+
+    def __init__(self, path: tuple[str | int, ...], why: object) -> None:
+        super().__init__(str(why))
+        self.path = path

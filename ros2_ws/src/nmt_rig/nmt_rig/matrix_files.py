@@ -18,6 +18,7 @@ from nmt_rig.file_errors import BadFileError
 from nmt_rig.named_rows import ModelPart, NamedModel, label, united
 from nmt_rig.superelement_binaries import read_full, read_op2, read_op4
 from nmt_rig.superelement_texts import (
+    is_harwell_boeing,
     is_matrix_market,
     quantity_of,
     read_abaqus,
@@ -34,11 +35,16 @@ _NAMES = {
     "mass": ("M", "mass"), "stiffness": ("K", "stiffness"), "damping": ("C", "damping"),
     "base_vector": ("r", "base_vector"), "base_load": ("p", "base_load"),
 }  # fmt: skip
+# Of mphmatrix of COMSOL, with constraints eliminated and without; E ü + D u̇ + K u.
+_COMSOL = ({"mass": "Ec", "stiffness": "Kc", "damping": "Dc"}, {"mass": "E", "stiffness": "K", "damping": "D"})
+# Bytes of a full matrix; a structure of so many rows has few entries.
+_LARGEST_FULL = 2**27
 # What scipy.sparse.save_npz writes.
 _SPARSE = ("data", "indices", "indptr", "shape")
 _BULK = (".pch", ".bdf", ".dat", ".nas", ".asm", ".dmig")
 _LISTS = (".sti", ".mas", ".dam")
 _TEXTS = (".mtx", ".inp", ".txt")
+_HARWELL_BOEING = (".matrix", ".mapping", ".hb", ".rsa", ".rua", ".rb")
 
 
 def read_part(path: Path, quantity: str | None = None) -> ModelPart:
@@ -53,6 +59,11 @@ def read_part(path: Path, quantity: str | None = None) -> ModelPart:
         OSError: the file cannot be read.
     """
     suffix = path.suffix.lower()
+    if suffix in _HARWELL_BOEING or (suffix in _TEXTS and is_harwell_boeing(path)):
+        raise BadFileError(
+            "it is a Harwell-Boeing text, as HBMAT of Ansys writes it; write the matrices with *EXPORT,…,MMF of APDL "
+            "(Matrix Market)"
+        )
     if suffix in _TEXTS and not is_matrix_market(path):
         return read_abaqus(path, quantity or quantity_of(path))
     if suffix in _LISTS:
@@ -150,6 +161,8 @@ def _named_arrays(path: Path) -> ModelPart:
                 vector = quantity.startswith("base_")
                 found[quantity] = _vector(value) if vector else value
                 break
+    if "mass" not in found:
+        found |= _of_comsol(content)
     if not found and set(_SPARSE) <= set(content):
         raise BadFileError(
             "it is a single matrix; name it and the others as mass_file and stiffness_file, or --check K.npz --check "
@@ -158,6 +171,15 @@ def _named_arrays(path: Path) -> ModelPart:
     if not found:
         raise BadFileError(f"it has none of M, K, C; it has {', '.join(sorted(content)) or 'nothing'}")
     return ModelPart(found, _row_labels(content), nodes=_node_table(content))
+
+
+def _of_comsol(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Matrices by the letters of COMSOL, where stiffness and mass of one size stand under them; else empty."""
+    for letters in _COMSOL:
+        found = {name: value for name, key in letters.items() if (value := _taken(content, key)) is not None}
+        if {"mass", "stiffness"} <= found.keys() and found["mass"].shape == found["stiffness"].shape:
+            return found
+    return {}
 
 
 def _row_labels(content: Mapping[str, Any]) -> Any:
@@ -231,7 +253,12 @@ def _taken(content: Mapping[str, Any], name: str) -> Any:
     """The array of one name, sparse where it is stored so; None where it is not there."""
     if all(f"{name}_{part}" in content for part in _SPARSE):
         return _sparse([content[f"{name}_{part}"] for part in _SPARSE])
-    return None if name not in content else _number_array(content[name], name)
+    if name not in content:
+        return None
+    array = _number_array(content[name], name)
+    if array.nbytes > _LARGEST_FULL:
+        raise BadFileError(f"{name} is a full array of {' x '.join(map(str, array.shape))}; save it sparse")
+    return array
 
 
 def _sparse(parts: list[Any], columns: bool = False) -> Any:
@@ -309,7 +336,7 @@ def _number_array(value: Any, name: str) -> Any:
     array = np.asarray(value)
     if array.dtype.kind not in "biuf":
         raise BadFileError(f"{name} is not an array of real numbers")
-    return array.astype(float)
+    return np.asarray(array, dtype=float)
 
 
 def _vector(value: Any) -> Any:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,6 +17,7 @@ DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 # Degrees of freedom of a node go up to some tens: pressure, temperature, internal ones.
 _PER_NODE = 100
+_LARGEST_NODE = 10**12
 # What programs write on the diagonal of a degree of freedom that is held, in place of removing it.
 _HELD = 1e30
 _LENGTHS_M = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "in": 0.0254, "ft": 0.3048}
@@ -30,13 +31,43 @@ Labels = NDArray[np.int64]
 
 
 def label(node: Any, direction: Any) -> Any:
-    """One number for node and direction (1 to 6 for translations and rotations, 0 of a scalar point)."""
-    return np.asarray(node, dtype=np.int64) * _PER_NODE + np.asarray(direction, dtype=np.int64)
+    """One number for node and direction (1 to 6 for translations and rotations, 0 of a scalar point).
+
+    Raises:
+        BadFileError: a node beyond 10¹².
+    """
+    nodes = np.asarray(node)
+    if nodes.dtype == object or np.any(np.abs(nodes.astype(float)) > _LARGEST_NODE):
+        raise BadFileError("it has a number of a node beyond 10¹²")
+    return nodes.astype(np.int64) * _PER_NODE + np.asarray(direction, dtype=np.int64)
+
+
+def once(rows: Any, columns: Any, names: Callable[[int], str] = str) -> None:
+    """Refuse a list that has an entry of a matrix twice, as one has that was written into an older file.
+
+    Args:
+        rows, columns: (n,) of the entries.
+        names: words for a row.
+
+    Raises:
+        BadFileError: the first such entry.
+    """
+    order = np.lexsort((columns, rows))
+    r, c = np.asarray(rows)[order], np.asarray(columns)[order]
+    again = np.flatnonzero((r[1:] == r[:-1]) & (c[1:] == c[:-1]))
+    if again.size:
+        where = f"{names(int(r[again[0]]))}, {names(int(c[again[0]]))}"
+        raise BadFileError(f"it has the entry {where} twice; keep one of them, or their sum")
+
+
+def label_words(number: int) -> str:
+    """Node and direction of a label, as node 17 z."""
+    return f"node {number // _PER_NODE} {direction_words([number % _PER_NODE])}"
 
 
 @dataclass(frozen=True)
 class Entries:
-    """Entries of a symmetric matrix by the labels of their rows and columns; duplicates add up."""
+    """Entries of a symmetric matrix by the labels of their rows and columns, each once."""
 
     rows: Labels
     columns: Labels
@@ -158,12 +189,18 @@ def united(parts: Sequence[ModelPart]) -> NamedModel:
     """One model of what several files say; rows in the order of the files where all agree, else by node.
 
     Raises:
-        BadFileError: a quantity comes twice, or files that name their rows meet files that do not.
+        BadFileError: a quantity comes twice, files that name their rows meet files that do not, numbers that are not
+            finite, or Lagrange multipliers.
     """
     quantities = [name for part in parts for name in (*part.matrices, *part.entries)]
     for name in quantities:
         if quantities.count(name) > 1:
             raise BadFileError(f"the {name} comes twice")
+    for part in parts:
+        for name, value in (*part.matrices.items(), *((n, each.values) for n, each in part.entries.items())):
+            # Before rows are left out by their diagonals, in which NaN is not less than anything.
+            if not np.all(np.isfinite(value.data if sparse.issparse(value) else value)):
+                raise BadFileError(f"the {name} has entries that are not finite numbers")
     nodes = [part.nodes for part in parts if part.nodes is not None and part.nodes.size]
     all_nodes = np.unique(np.concatenate(nodes), axis=0) if nodes else np.zeros((0, 4))
     labelled = [part.labels for part in parts if part.labels is not None]
@@ -191,6 +228,7 @@ def _assembled(entries: Mapping[str, Entries]) -> tuple[dict[str, Any], Labels]:
     n = labels.size
     matrices = {}
     for name, each in entries.items():
+        once(each.rows, each.columns, label_words)
         places = (np.searchsorted(labels, each.rows), np.searchsorted(labels, each.columns))
         matrices[name] = mirrored(sparse.coo_matrix((each.values, places), shape=(n, n)).tocsr())
     return matrices, labels
@@ -207,6 +245,7 @@ def mirrored(matrix: Any) -> Any:
 def _without_held(matrices: dict[str, Any], labels: Labels | None, nodes: NDArray[np.float64]) -> NamedModel:
     """Without the rows that a program holds: by a huge diagonal entry of the stiffness, or by leaving them empty."""
     stiffness = matrices.get("stiffness")
+    _refuse_multipliers(matrices, labels)
     if labels is None or stiffness is None or stiffness.ndim != 2 or stiffness.shape[0] != labels.size:
         return NamedModel(matrices, labels, nodes)
     sizes = [np.asarray(abs(value).sum(axis=1)).reshape(-1) for value in matrices.values() if value.ndim == 2]
@@ -217,6 +256,26 @@ def _without_held(matrices: dict[str, Any], labels: Labels | None, nodes: NDArra
             for name, value in matrices.items()
         }
     return NamedModel(matrices, labels[free], nodes, labels.size - free.size)
+
+
+def _refuse_multipliers(matrices: Mapping[str, Any], labels: Labels | None) -> None:
+    """Refuse rows without mass and without a positive stiffness that couple others: Lagrange multipliers.
+
+    K_ij² ≤ K_ii K_jj holds in every passive structure.
+    """
+    mass, stiffness = matrices.get("mass"), matrices.get("stiffness")
+    if mass is None or stiffness is None or mass.ndim != 2 or mass.shape != stiffness.shape:
+        return
+    suspects = (stiffness.diagonal() <= 0.0) & (np.asarray(abs(mass).sum(axis=1)).reshape(-1) == 0.0)
+    multipliers = np.flatnonzero(suspects & (np.asarray(abs(stiffness).sum(axis=1)).reshape(-1) > 0.0))
+    if multipliers.size:
+        first = int(multipliers[0])
+        where = f"row {first}" if labels is None else label_words(int(labels[first]))
+        raise BadFileError(
+            f"{where} is a Lagrange multiplier (it couples other rows and has neither mass nor a positive stiffness); "
+            "export the matrices with the constraint eliminated, as by *MPC or *EQUATION in place of a tie or hybrid "
+            "elements"
+        )
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from nmt_rig.file_errors import BadFileError
+from nmt_rig.file_errors import BadFileError, KeyOfRigError
 from nmt_rig.matrix_files import read_model
 from nmt_rig.model.matrix_structure import Matrices, Part, craig_bampton, projection
 from nmt_rig.model.packed_matrix import packed
 from nmt_rig.model.regions import Rows, Support, block_of, spread_of, supported
 from nmt_rig.named_rows import NamedModel, Units
 
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+_NAME = re.compile(r"[A-Za-z](?:[A-Za-z0-9_ -]*[A-Za-z0-9_-])?")
 WRITTEN = ("stiffness_n_m", "mass_kg", "moved_kg", "translation_rows", "rotation_rows")
 """Keys of a region that the bench writes."""
 
@@ -71,11 +71,14 @@ def read_regions(
     found = {}
     for name, section in sections.items():
         if not isinstance(name, str) or not _NAME.fullmatch(name):
-            raise ValueError(f"region {name!r}: a name begins with a letter and has letters, digits, - and _")
+            raise KeyOfRigError(
+                ("structure", "regions"),
+                f"region {name!r}: a name begins with a letter and has letters, digits, blanks, - and _",
+            )
         try:
             found[name] = _region(model, name, section, folder, units, rotations)
         except (BadFileError, ValueError) as error:
-            raise ValueError(f"region {name}: {error}") from error
+            raise KeyOfRigError(("structure", "regions", name), f"region {name}: {error}") from error
     held = [(name, node) for name, region in found.items() if region.support for node in region.nodes]
     for name, node in held:
         if other := next((each for each, same in held if same == node and each != name), None):

@@ -9,7 +9,7 @@ import contextlib
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import SMALLEST_NUMBER, check_number, json_value, read_text
 from nmt_core.files.whole_file import write_whole
 from nmt_core.files.yaml_document import YamlDocument
-from nmt_rig.file_errors import BadFileError
+from nmt_rig.file_errors import BadFileError, KeyOfRigError
 from nmt_rig.modal_files import read_modal_csv, read_uff55
 
 if TYPE_CHECKING:
@@ -208,6 +208,8 @@ def _matrices(document: YamlDocument, structure: Mapping[str, Any], folder: Path
             found = _reduced(model, entries, structure, folder)
         except OSError as error:
             raise BenchError(f"{place}: {error.filename} cannot be read: {error.strerror or error}.") from error
+        except KeyOfRigError as error:
+            raise BenchError(f"{document.place(error.path)}: {error}.") from error
         except ValueError as error:
             raise BenchError(f"{place}: {error}.") from error
         if stored is not None:
@@ -274,7 +276,8 @@ def _reduced(
     points_at, notes = _found_points(model, entries)
     kept = [entry[key] for entry in points_at for key in ("row", "rotation_row") if entry.get(key) is not None]
     rotations = [entry["rotation_row"] for entry in points_at if entry.get("rotation_row") is not None]
-    system = Units.named(str(units or "m-kg-N"))
+    with _about("units"):
+        system = Units.named(str(units or "m-kg-N"))
     if units is None and (doubt := model.doubt_of_units()):
         raise ValueError(
             f"read in metres, kilograms and newtons {doubt}; state the units of the file, as units: mm-t-N"
@@ -282,25 +285,30 @@ def _reduced(
     turned = [entry["row"] for entry in points_at if str(entry.get("direction")).startswith("r")]
     matrices = Matrices(**system.in_si(model.matrices, rotations + turned)).checked()
     if beyond := [row for row in kept if row >= matrices.size]:
-        raise ValueError(f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}")
+        why = f"structure.points_at names row {beyond[0]}, but the rows are 0 to {matrices.size - 1}"
+        raise KeyOfRigError(("structure", "points_at"), why)
     massless = int(matrices.massless().size)
     written: dict[str, Any] = {}
     if structure.get("regions") and modes is None and structure.get("mass_kg") is None:
-        raise ValueError("structure.regions need structure.modes, the number of modes to keep beside the points")
+        why = "structure.regions need structure.modes, the number of modes to keep beside the points"
+        raise KeyOfRigError(("structure", "regions"), why)
     if modes is not None:
         if not isinstance(modes, int) or isinstance(modes, bool):
-            raise ValueError(f"structure.modes must be a whole number, got {modes!r}")
+            raise KeyOfRigError(("structure", "modes"), f"structure.modes must be a whole number, got {modes!r}")
         if sections := structure.get("regions"):
             regions = read_regions(model, sections, folder, system, rotations + turned)
-            matrices, written = reduced_with_regions(matrices, kept, modes, regions, LARGEST)
+            with _about("regions"):
+                matrices, written = reduced_with_regions(matrices, kept, modes, regions, LARGEST)
             notes += _region_notes(written)
         else:
-            matrices = craig_bampton(matrices, kept, modes, most=LARGEST)
+            with _about("modes"):
+                matrices = craig_bampton(matrices, kept, modes, most=LARGEST)
         rows = list(range(len(kept)))
         if written and (moving := matrices.size - _held_rows(written)) > LARGEST:
-            raise ValueError(
+            raise KeyOfRigError(
+                ("structure", "regions"),
                 f"points, modes and what regions need are {moving} coordinates, and {LARGEST} is the limit; "
-                "keep fewer modes or regions"
+                "keep fewer modes or regions",
             )
     elif (
         matrices.size - massless - _held_rows(structure.get("regions") or {}) > LARGEST
@@ -338,6 +346,15 @@ def _reduced(
     return {**lists, "points_at": placed, "note": "; ".join(notes), **({"regions": written} if written else {})}
 
 
+@contextlib.contextmanager
+def _about(key: str) -> Iterator[None]:
+    """Whatever is refused is so for the value of a key of the structure."""
+    try:
+        yield
+    except ValueError as error:
+        raise KeyOfRigError(("structure", key), error) from error
+
+
 def _held_rows(regions: Mapping[str, Any]) -> int:
     """Coordinates of a reduced structure that ideal supports take out of its motion."""
     return sum(
@@ -372,7 +389,7 @@ def _found_points(model: NamedModel, entries: list[dict[str, Any]]) -> tuple[lis
         ValueError: a node, a direction or coordinates that the files do not have.
     """
     found, notes = [], []
-    for entry in entries:
+    for index, entry in enumerate(entries):
         if entry.get("row") is not None:
             found.append(entry)
             continue
@@ -385,7 +402,7 @@ def _found_points(model: NamedModel, entries: list[dict[str, Any]]) -> tuple[lis
             if entry.get("rotation") is not None:
                 rows["rotation_row"] = model.row(node, entry["rotation"])
         except ValueError as error:
-            raise ValueError(f"point {number}: {error}") from error
+            raise KeyOfRigError(("structure", "points_at", index), f"point {number}: {error}") from error
         found.append({**entry, "node": node, **rows})
     return found, notes
 

@@ -5,6 +5,7 @@ The formats are cards and lists of numbers; a rig must load where no package of 
 
 from __future__ import annotations
 
+import math
 import re
 import warnings
 from collections.abc import Iterator, Sequence
@@ -18,7 +19,7 @@ from scipy import sparse
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_ARRAYS, open_regular
 from nmt_rig.file_errors import BadFileError
-from nmt_rig.named_rows import Entries, ModelPart, label, mirrored
+from nmt_rig.named_rows import Entries, ModelPart, label, mirrored, once
 
 _LARGEST_ROWS = 10**6
 _ABAQUS_MATRICES = {
@@ -28,6 +29,7 @@ _ABAQUS_MATRICES = {
 _PAIRS = {"stiffness": ("STIF", ".sti"), "mass": ("MASS", ".mas"), "damping": ("DMPV", ".dam")}
 _LETTERS_OF = {"stiffness": "K", "mass": "M", "damping": "BC"}
 _LETTERS = {"K": "stiffness", "M": "mass", "C": "damping"}
+_INCLUDE = re.compile(r"\*?\s*INCLUDE\b[\s,]*(?:INPUT\s*=)?\s*(\S.{0,60})", re.IGNORECASE)
 _BARE_EXPONENT = re.compile(r"(?<=[\d.])([+-]\d+)$")
 
 
@@ -52,6 +54,16 @@ def is_matrix_market(path: Path) -> bool:
             return file.read(14).lower().startswith(b"%%matrixmarket") or path.stat().st_size == 0
     except BenchError as error:
         raise BadFileError(str(error).rstrip(".")) from error
+
+
+def is_harwell_boeing(path: Path) -> bool:
+    """Whether the third line of a file begins with the three letters of a Harwell-Boeing matrix, as rsa."""
+    try:
+        with open_regular(path, "matrix file", LARGEST_ARRAYS) as file:
+            lines = [file.readline(256) for _ in range(3)]
+    except BenchError as error:
+        raise BadFileError(str(error).rstrip(".")) from error
+    return bool(re.match(rb"[rcpi][suhzr][ae]\s+\d+\s+\d+", lines[2].lower()))
 
 
 def number_table(text: str, columns: int, what: str) -> NDArray[np.float64]:
@@ -107,6 +119,7 @@ def read_abaqus(path: Path, quantity: str | None) -> ModelPart:
         OSError: the file cannot be read.
     """
     text = text_of(path)
+    _refuse_includes(text)
     if re.search(r"^\*\s*MATRIX\s*,", text, re.MULTILINE | re.IGNORECASE):
         return _substructure(text)
     lines = "\n".join(line for line in text.splitlines() if not line.lstrip().startswith("*"))
@@ -134,6 +147,7 @@ def read_abaqus(path: Path, quantity: str | None) -> ModelPart:
 def _listed(rows: NDArray[np.int64], columns: NDArray[np.int64], values: NDArray[np.float64]) -> Any:
     """A sparse matrix from entries whose rows are counted from 1."""
     size = int(max(rows.max(), columns.max()))
+    once(rows, columns)
     if min(rows.min(), columns.min()) < 1 or size > min(_LARGEST_ROWS, 40 * rows.size):
         raise BadFileError(f"it has rows up to {size} and {rows.size} entries; rows are counted from 1")
     return mirrored(sparse.coo_matrix((values, (rows - 1, columns - 1)), shape=(size, size)).tocsr())
@@ -286,6 +300,7 @@ def read_nodes(path: Path) -> ModelPart:
     text = text_of(path)
     if re.search(r"^GRID[\s*,]", text, re.MULTILINE):
         return ModelPart(nodes=_grids(_cards(text)))
+    _refuse_includes(text)
     lines = text.splitlines()
     inside = not any(line.lstrip().startswith("*") for line in lines)
     rows = []
@@ -302,19 +317,32 @@ def read_nodes(path: Path) -> ModelPart:
     return ModelPart(nodes=table)
 
 
+def _refuse_includes(text: str) -> None:
+    """Refuse a text of Abaqus or CalculiX part of which stands in another file."""
+    if elsewhere := re.search(rf"^{_INCLUDE.pattern}", text, re.MULTILINE | re.IGNORECASE):
+        raise BadFileError(f"it includes {elsewhere[1].strip()}, which is not read; put its lines into one file")
+
+
 def _cards(text: str) -> Iterator[list[str]]:
-    """Cards of a bulk data deck as fields: name, then 4 a line in the large form and 8 in the small or free one."""
+    """Cards of a bulk data deck as fields: name, then 4 a line in the large form and 8 in the small or free one.
+
+    Raises:
+        BadFileError: cards that stand in another file.
+    """
     card: list[str] = []
     for raw in text.splitlines():
+        if elsewhere := _INCLUDE.match(raw):
+            raise BadFileError(f"it includes {elsewhere[1].strip()}, which is not read; put its cards into one file")
         line = raw.split("$", 1)[0].rstrip().expandtabs(8)
         if not line:
             continue
         if "," in line:
             head, *fields = (word.strip() for word in line.split(","))
-            count = 4 if head.endswith("*") else 8
+            count = 4 if head.startswith("*") or head.endswith("*") else 8
         else:
             head = line[:8].strip()
-            width, count = (16, 4) if head.endswith("*") else (8, 8)
+            # A star before the name of a continuation, or behind that of a card, is the large form.
+            width, count = (16, 4) if head.startswith("*") or head.endswith("*") else (8, 8)
             fields = [line[start : start + width].strip() for start in range(8, 8 + width * count, width)]
         fields = (fields + [""] * count)[:count]
         if head[:1] in ("", "*", "+"):
@@ -328,11 +356,18 @@ def _cards(text: str) -> Iterator[list[str]]:
 
 
 def _real(word: str) -> float:
-    """A real number of Nastran: 1.5, 1.5D+3 or 1.5+3."""
+    """A real number of Nastran: 1.5, 1.5D+3 or 1.5+3.
+
+    Raises:
+        ValueError: another word, or a number that is not finite.
+    """
     try:
-        return float(word)
+        value = float(word)
     except ValueError:
-        return float(_BARE_EXPONENT.sub(r"E\1", word.upper().replace("D", "E")))
+        value = float(_BARE_EXPONENT.sub(r"E\1", word.upper().replace("D", "E")))
+    if not math.isfinite(value):
+        raise ValueError(f"{word} is no finite number")
+    return value
 
 
 def _grids(cards: Iterator[list[str]]) -> NDArray[np.float64]:
@@ -345,6 +380,8 @@ def _grids(cards: Iterator[list[str]]) -> NDArray[np.float64]:
         ]
     except ValueError as error:
         raise BadFileError(f"a GRID card has something that is not a number ({error})") from error
+    if any(abs(row[0]) > 10**12 for row in rows):
+        raise BadFileError("a GRID card has a number of a node beyond 10¹²")
     return np.array(rows, dtype=float).reshape(-1, 4)
 
 
@@ -363,6 +400,10 @@ def read_dmig(path: Path) -> ModelPart:
             if card[0] != "DMIG":
                 continue
             if card[2] == "0":
+                if card[1] in forms:
+                    raise BadFileError(
+                        f"the heading of {card[1]} comes twice, as in a file that two runs were punched into; keep one"
+                    )
                 forms[card[1]] = int(card[3]) if card[4] in ("1", "2") else 0
                 continue
             rows, columns, values = found.setdefault(card[1], ([], [], []))
@@ -382,7 +423,7 @@ def read_dmig(path: Path) -> ModelPart:
         raise BadFileError(f"it has no square matrix; {names[0]} beside it may have them")
     # 1 and 6 are square and symmetric forms; rectangular and complex ones are loads and gains.
     chosen = matrix_names([name for name in found if forms.get(name, 0) in (1, 6)])
-    if any(not -(10**14) < row < 10**14 for name in chosen.values() for row in found[name][0]):
+    if any(not -(10**14) < row < 10**14 for name in chosen.values() for rows in found[name][:2] for row in rows):
         raise BadFileError("a DMIG card names a node that is no node")
     entries = {}
     for quantity, name in chosen.items():
@@ -408,7 +449,7 @@ def matrix_names(names: Sequence[str]) -> dict[str, str]:
     else:
         chosen = {}
         for quantity, letters in _LETTERS_OF.items():
-            fitting = [name for name in names if name[:1].upper() in letters and not name.upper().startswith("K4")]
+            fitting = [name for name in names if name[:1].upper() in letters and not _is_structural(name, names)]
             if len(set(fitting)) > 1:
                 raise BadFileError(
                     f"{' and '.join(sorted(fitting)[:4])} could each be the {quantity}; keep one of them"
@@ -423,6 +464,12 @@ def matrix_names(names: Sequence[str]) -> dict[str, str]:
                 f"it has {name} {list(names).count(name)} times, of several superelements; keep one {quantity}"
             )
     return chosen
+
+
+def _is_structural(name: str, names: Sequence[str]) -> bool:
+    """Whether a name is that of structural damping, as K4XX; K40, and K4 beside M4, are a stiffness with a number."""
+    upper = name.upper()
+    return bool(re.match(r"K4(?!\d)", upper)) and f"M{upper[1:]}" not in {each.upper() for each in names}
 
 
 def _named(names: Sequence[str], quantity: str, sets: str) -> str:

@@ -16,11 +16,14 @@ if TYPE_CHECKING:
 class RigsOptions:
     """Lists the rigs that every command takes by name, with where their files are: those in the folders of the
     variable NMT_RIG_PATH, then those that come with the bench. Copy a file to make a rig of your own. With --check it
-    says what a file of a finite-element program holds: nodes, directions, mass, first frequencies."""
+    says what a file of a finite-element program holds: nodes, directions, mass, first frequencies; of a rig file,
+    whether it loads, and its structure, frequencies and channels."""
 
     paths: bool = option(False, "also the path of each file")
     check: tuple[Path, ...] = option(
-        (), "file of matrices to look into; mass and stiffness may be given one after the other", metavar="FILE"
+        (),
+        "rig file, or file of matrices to look into; mass and stiffness may be given one after the other",
+        metavar="FILE",
     )
     units: str = option("m-kg-N", "length, mass and force of these files, such as mm-t-N", metavar="UNITS")
     nodes: Path | None = option(None, "file with the coordinates of their nodes", metavar="FILE")
@@ -64,8 +67,38 @@ def checked_model(options: RigsOptions) -> ModelFigures:
     return model_figures(paths | {key: path for key, path in more.items() if path is not None}, options.units)
 
 
-def json_results(options: RigsOptions) -> list[dict[str, str]] | dict[str, Any]:
+def rig_figures(path: Path) -> dict[str, Any]:
+    """What a rig file holds, as words by heading.
+
+    Raises:
+        BenchError: what is wrong with it, with the line.
+    """
+    from nmt_rig.linear_description import linear_description
+    from nmt_rig.rig import load_rig
+    from nmt_rig.structure_sections import point_words
+
+    rig = load_rig(path)
+    modes = linear_description(rig)
+    hertz = ", ".join(f"{omega / 6.283185307179586:.6g}" for omega in modes.frequencies_rad_s)
+    ratios = ", ".join(f"{100.0 * ratio:.4g}" for ratio in modes.damping_ratios)
+    source = getattr(rig.structure, "source", "")
+    return {
+        "rig": rig.name,
+        "structure": f"{rig.structure.kind}, {point_words(rig.structure.points)}{f', from {source}' if source else ''}",
+        "frequencies": f"{hertz} Hz, damping ratios {ratios} %",
+        "exciters": ", ".join(f"{exciter.kind} at point {exciter.point}" for exciter in rig.all_exciters),
+        "channels": ", ".join(rig.sensor_channel(sensor) for sensor in rig.sensors),
+    }
+
+
+def _are_rigs(options: RigsOptions) -> bool:
+    return bool(options.check) and all(path.suffix.lower() in (".yaml", ".yml") for path in options.check)
+
+
+def json_results(options: RigsOptions) -> list[dict[str, Any]] | dict[str, Any]:
     """What ``--json`` prints."""
+    if _are_rigs(options):
+        return [rig_figures(path) for path in options.check]
     return asdict(checked_model(options)) if options.check else rig_rows()
 
 
@@ -80,7 +113,11 @@ def run(options: RigsOptions) -> int:
     from nmt_bench.commands.console import make_console
 
     if options.check:
-        for line in checked_model(options).lines(options.units):
+        if _are_rigs(options):
+            lines = [f"{name}: {words}" for path in options.check for name, words in rig_figures(path).items()]
+        else:
+            lines = checked_model(options).lines(options.units)
+        for line in lines:
             make_console().print(line, markup=False, highlight=False, soft_wrap=True)
         return 0
     table = Table(box=None, padding=(0, 2, 0, 0), show_header=False)

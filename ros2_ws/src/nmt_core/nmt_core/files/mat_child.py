@@ -30,9 +30,9 @@ class Budget:
         if self._left < 0:
             raise MemoryError
 
-    def enter(self, depth: int) -> None:
-        """Count an entry; RecursionError = too deep or too many."""
-        self._entries -= 1
+    def enter(self, depth: int, entries: int = 1) -> None:
+        """Count entries; RecursionError = too deep or too many."""
+        self._entries -= entries
         if self._entries < 0 or depth > DEEPEST:
             raise RecursionError
 

@@ -7,6 +7,7 @@ sets. Members of structs are named by their path, ``test.force``.
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 import tempfile
@@ -155,14 +156,16 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
             if name == "#refs#" or not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 continue
             entry = group[name]
-            if isinstance(entry, h5py.Group):
+            if isinstance(entry, h5py.Group) and "MATLAB_sparse" in entry.attrs:
+                found.update({f"{prefix}{name}_{part}": value for part, value in compressed_rows(entry).items()})
+            elif isinstance(entry, h5py.Group):
                 visit(entry, f"{prefix}{name}.", depth + 1)
             elif isinstance(entry, h5py.Dataset) and h5py.check_ref_dtype(entry.dtype) is h5py.Reference:
-                budget.take(int(entry.size))
+                budget.take(weight(entry))
+                budget.enter(depth, int(entry.size))
                 shape = entry.shape[::-1] if len(entry.shape) > 1 else (*entry.shape, 1)
                 own = name if entry.attrs.get("MATLAB_class") in (b"cell", "cell") else ""
                 for number, reference in enumerate(entry[()].ravel()):
-                    budget.enter(depth)
                     parts = (prefix.rstrip("."), own, numbered(number, shape), "" if own else name)
                     member = file[reference] if reference else None
                     values = array(member) if isinstance(member, h5py.Dataset) else None
@@ -174,6 +177,29 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
                     found[prefix + name] = values
                     attributes(entry, f"{prefix}{name}.")
 
+    def weight(entry: Any) -> int:
+        # A chunk is unpacked as one, however little of it the array has.
+        return max(int(entry.size), math.prod(entry.chunks or ())) * -(-int(entry.dtype.itemsize) // 8)
+
+    def compressed_rows(entry: Any) -> dict[str, Array]:
+        """MATLAB keeps columns: numbers, their rows, starts of the columns; the attribute is the number of rows."""
+        from scipy import sparse
+
+        inside = [key for key in entry if isinstance(entry.get(key, getlink=True), h5py.HardLink)]
+        members = {key: entry[key] for key in inside if isinstance(entry[key], h5py.Dataset)}
+        starts = array(members["jc"])
+        data, rows = (array(members[key]) if key in members else np.zeros(0) for key in ("data", "ir"))
+        size = (int(entry.attrs["MATLAB_sparse"]), 0 if starts is None else starts.size - 1)
+        if starts is None or data is None or rows is None or not 0 <= size[0] <= 2**31:
+            raise ValueError(f"the sparse matrix {entry.name} is not whole")
+        starts, rows = starts.astype(np.int64).reshape(-1), rows.astype(np.int64).reshape(-1)
+        good = starts.size and starts[0] == 0 and starts[-1] == rows.size == data.size and np.all(np.diff(starts) >= 0)
+        if not good or (rows.size and not 0 <= rows.min() <= rows.max() < size[0]):
+            raise ValueError(f"the sparse matrix {entry.name} points outside itself")
+        budget.take(3 * data.size + size[0])
+        matrix = sparse.csc_matrix((data.reshape(-1), rows, starts), shape=size).tocsr()
+        return {part: np.asarray(getattr(matrix, part)) for part in ("data", "indices", "indptr", "shape")}
+
     def array(entry: Any) -> Array | None:
         kind, names = entry.dtype.kind, entry.dtype.names
         is_complex = names is not None and len(names) == 2 and all(entry.dtype[n].kind == "f" for n in names)
@@ -182,10 +208,11 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
             return None
         if entry.external or entry.is_virtual:
             raise BenchError(f"The {what} {path.name} keeps '{entry.name}' in another file; save it as one.")
-        budget.take(int(entry.size) * (2 if is_complex or kind == "c" else 1))
+        budget.take(weight(entry) * (2 if is_complex or kind == "c" else 1))
         values: Array = entry[()]
         if is_complex:
-            values = values[names[0]] + 1j * values[names[1]]
+            parts, values = values, np.empty(values.shape, complex)
+            values.real, values.imag = parts[names[0]], parts[names[1]]
         # MATLAB's columns are HDF5's rows.
         return values.T if "MATLAB_class" in entry.attrs else values
 

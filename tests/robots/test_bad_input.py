@@ -36,8 +36,8 @@ def refused(folder: Path, sidecar: str, columns: dict[str, Any] | None = None) -
     [
         ("gains: {kp: 60.0, kd: 1.5}\n", "", "give gains.kp and gains.kd"),
         ("command: {position: des_pos}\n", "", "command.position in the sidecar"),
-        ("column: pos}", "column: pos, unit: mm}", "positions in mm, but all joints turn: give rad or deg"),
-        ("column: pos}", "column: pos, unit: grad}", "must be 'rad', 'deg', 'm' or 'mm'"),
+        ("column: pos}", "column: pos, unit: mm}", "positions in mm, but elbow turns: give rad, deg or turn"),
+        ("column: pos}", "column: pos, unit: grad}", "position.unit"),
         ("[elbow]", "[elbow, wrist]", "has 1 columns and the sidecar names 2 joints"),
         ("[elbow]", "[knee]", "its joints are elbow. Name the columns of the log in the sidecar"),
     ],
@@ -51,7 +51,7 @@ def test_degrees_of_a_slide_are_refused(tmp_path: Path) -> None:
     (tmp_path / "log.yaml").write_text((SIDECAR + LAW).replace("column: pos}", "column: pos, unit: deg}"))
     slide = tmp_path / "slide.xml"
     slide.write_text(robot_file(tmp_path).read_text().replace('type="hinge"', 'type="slide"'))
-    with pytest.raises(BenchError, match="positions in deg, but all joints slide: give m or mm"):
+    with pytest.raises(BenchError, match="positions in deg, but elbow slides: give m, cm or mm"):
         diagnose_robot(slide, tmp_path / "log.yaml")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 from nmt_bench.commands.output_folder import OutputFolder, check_output
 from nmt_bench.commands.shared_options import dated_folder_option, replace_option
 from nmt_core.errors import BenchError
+from nmt_core.files.hardened import read_text
 from nmt_core.options import option, optional_argument
 from nmt_core.vocabulary import TestKind
 
@@ -67,6 +69,11 @@ def run(options: ImportOptions) -> int:
 
     if not sidecar.is_file() or sidecar.suffix.lower() in _DATA:
         raise no_sidecar(sidecar)
+    if re.search(r"^robot_log\s*:", read_text(sidecar, "sidecar"), re.M):
+        raise BenchError(
+            f"{sidecar} is the sidecar of a robot's log, which needs no import: "
+            f"./nmt diagnose --model ROBOT.xml --real {sidecar} --out DIR."
+        )
 
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.work_display import WorkDisplay

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -9,24 +11,52 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_arrays
-from nmt_record.exchange.messages.ros_bag_table import bag_tables, is_bag, read_bag
-from nmt_record.exchange.source_table import SourceTable
+from nmt_core.files.mat_file import read_attributes, read_mat
+from nmt_record.exchange.clocks.message_clock import ClockChoice
+from nmt_record.exchange.clocks.time_columns import TIME_NAME
+from nmt_record.exchange.import_table import kind_of, read_table
+from nmt_record.exchange.messages.ros_bag_table import is_bag, recordings_of
+from nmt_record.exchange.source_table import SourceTable, split_name
 from nmt_record.exchange.text.text_table import read_text_table
+from nmt_robots.log.column_roles import POSITION, Role, roles_of
 
 Array = np.ndarray[Any, Any]
 
 STAMP = "(time of the messages)"
 """Column of a bag's clock."""
+_HOLES = 0.9
+"""Share of the rows that have a value; where fewer have one the others are rows of another clock."""
+_RATES = ("fs", "rate", "rate_hz", "sample_rate", "sampling_rate", "sample_rate_hz")
+_STEPS = ("dt", "ts", "step_s", "sample_time")
 
 
-def read_columns(path: Path) -> dict[str, Array]:
+@dataclass(frozen=True, eq=False)
+class FileColumns:
+    """Columns of a log as they are in its file.
+
+    Attributes:
+        values: by name: N or N × J values, or a few for the whole log (gains), in the file's units.
+        units: stated by the file beside the names; empty = none.
+        rate_hz: rows per second that the file states; None = none.
+        stamps: columns that the file has as dates or times of day; they hold seconds.
+        notes: sentences on how it was read.
+        question: what must be known of a bag's clock; empty where that is clear.
+    """
+
+    values: dict[str, Array]
+    units: dict[str, str] = field(default_factory=dict)
+    rate_hz: float | None = None
+    stamps: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    question: str = ""
+
+
+def read_columns(path: Path, clock: str = "") -> FileColumns:
     """All columns of a log.
 
     Args:
-        path: NPZ file, table of text, or bag of ROS 2.
-
-    Returns:
-        By name: N or N × J values, or a few for the whole log (gains), in the file's own units.
+        path: NPZ, MATLAB or HDF5 file, table of text, or bag of ROS 2.
+        clock: of a bag's messages: header or log; empty = as judged.
 
     Raises:
         BenchError: it cannot be read.
@@ -34,33 +64,159 @@ def read_columns(path: Path) -> dict[str, Array]:
     if not path.exists():
         raise BenchError(f"The log {path} does not exist.")
     if is_bag(path):
-        return _of_bag(path)
+        return _of_bag(path, clock)
     if path.suffix.lower() == ".npz":
-        arrays = read_arrays(path, "log of joints")
-        return {
-            name: np.asarray(values, dtype=float) if values.dtype.kind in "fiub" else values
-            for name, values in arrays.items()
-        }
-    return _of_table(read_text_table(path))
+        return _of_arrays(dict(read_arrays(path, "log of joints")), {})
+    if path.suffix.lower() in ("", ".log"):
+        return _of_table(read_text_table(path))
+    if kind_of(path) == "mat":
+        stated = {name: str(of.get("units", of.get("unit", ""))) for name, of in read_attributes(path).items()}
+        return _of_arrays(read_mat(path, "log of joints"), stated)
+    return _of_table(read_table(path))
 
 
-def _of_bag(path: Path) -> dict[str, Array]:
-    """Fields of all topics that speak of joints, on the clock of one of them."""
-    wanted = [name for table in bag_tables(path) for name in table.names if speaks_of_joints(name)]
-    if not wanted:
-        raise BenchError(f"The bag {path.name} has no positions of joints (sensor_msgs/JointState or control_msgs).")
-    table = read_bag(path, wanted)
-    columns = _of_table(table)
-    rows = len(table.columns[0])
-    step = table.step if table.step else 1.0 / float(table.sample_rate or 1.0)
-    return {STAMP: (table.start or 0.0) + step * np.arange(rows), **columns}
+def _of_arrays(arrays: dict[str, Array], units: dict[str, str]) -> FileColumns:
+    """Arrays as columns; rows first."""
+    values: dict[str, Array] = {}
+    rate: float | None = None
+    for name, array in arrays.items():
+        last = name.rpartition(".")[2].lower()
+        if array.dtype.kind not in "fiub":
+            values[name] = array
+            continue
+        column = np.asarray(array, dtype=float)
+        if column.ndim == 2 and column.shape[0] < column.shape[1] and column.shape[1] >= 50:
+            column = column.T
+        if column.size == 1 and float(column.ravel()[0]) > 0.0 and last in (*_RATES, *_STEPS):
+            number = float(column.ravel()[0])
+            rate = number if last in _RATES else 1.0 / number
+        elif column.ndim == 2 and 1 in column.shape and column.size > 50 and TIME_NAME.match(last):
+            column = column.ravel()
+        values[name] = column
+    return FileColumns(values, units, rate)
 
 
-def speaks_of_joints(name: str) -> bool:
-    """Whether a field is a position, speed, effort or command of a joint."""
-    return any(f"{word}." in name for word in ("position", "velocity", "effort", "positions", "velocities"))
+def _of_table(table: SourceTable) -> FileColumns:
+    names = [name or f"column {number + 1}" for number, name in enumerate(table.names)] or [
+        f"column {number + 1}" for number in range(len(table.columns))
+    ]
+    columns = {
+        name: np.asarray(values, dtype=float)
+        for number, (name, values) in enumerate(zip(names, table.columns, strict=True))
+        if number not in table.parts
+    }
+    rate = table.sample_rate or (1.0 / table.step if table.step else None)
+    units = {name: unit for name, unit in zip(names, table.units, strict=True) if unit}
+    stamps = tuple(names[number] for number in table.stamps)
+    columns, notes = _one_clock(columns, stamps)
+    return FileColumns(columns, units, rate, stamps, (*table.notes, *notes))
 
 
-def _of_table(table: SourceTable) -> dict[str, Array]:
-    names = table.names or [f"column {number + 1}" for number in range(len(table.columns))]
-    return {name: np.asarray(values, dtype=float) for name, values in zip(names, table.columns, strict=True)}
+def _of_bag(path: Path, clock: str) -> FileColumns:
+    """Fields of all topics that speak of joints, in the rows of the messages that have the positions."""
+    recordings, notes = recordings_of(path, ClockChoice(clock))
+    spoken = [
+        (one, judged, columns)
+        for one, judged in recordings
+        if one.block == 1 and (columns := {n: v for n, v in one.columns.items() if _speaks_of_joints(n)})
+    ]
+    with_positions = [one for one in spoken if _positions(one[2])]
+    if not with_positions:
+        why = " ".join(notes)
+        raise BenchError(f"The bag {path.name} has no positions of joints by the names of its fields. {why}".strip())
+    head, head_clock, head_columns = max(with_positions, key=lambda one: (_positions(one[2]), one[0].logged.size))
+    question = next((judged.question[0] for _, judged, _ in spoken if judged.question), "")
+    time = np.asarray((head_clock.time - head_clock.time[0]) * 1e-9, dtype=float)
+    values: dict[str, Array] = {STAMP: time, **{name: rows[head_clock.rows] for name, rows in head_columns.items()}}
+    for one, judged, theirs in spoken:
+        if one is head:
+            continue
+        at = (judged.time - head_clock.time[0]) * 1e-9
+        for name, rows in theirs.items():
+            values.setdefault(name, sampled(at, rows[judged.rows], time, _is_command(name)))
+        notes.append(f"{one.name} has a clock of its own and was read at the times of {head.name}.")
+    return FileColumns(values, notes=(*head.notes, *head_clock.notes, *notes), question=question)
+
+
+def _role(name: str) -> Role:
+    return roles_of(name, {})[0]
+
+
+def _speaks_of_joints(name: str) -> bool:
+    """Whether a field is a position, speed, effort, current or command of a joint."""
+    role = _role(name)
+    return role.kind not in ("", "other") or (role.commanded and role.kind == "")
+
+
+def _is_command(name: str) -> bool:
+    return _role(name).commanded
+
+
+def _positions(columns: Sequence[str] | dict[str, Array]) -> int:
+    """How many columns are measured positions."""
+    return sum(role.kind == POSITION and not role.commanded for role in map(_role, columns))
+
+
+def sampled(at: Array, values: Array, wanted: Array, held: bool) -> Array:
+    """Values of another clock at some times: as they were last where they are held, else on a straight line.
+
+    NaN where there are none, but for commands before the first one, which was there before the recording.
+    """
+    known = np.isfinite(values) & np.isfinite(at)
+    at, values = at[known], values[known]
+    if not len(at):
+        return np.full(len(wanted), np.nan)
+    if held:
+        places = np.searchsorted(at, wanted + 1e-9, side="right") - 1
+        return np.asarray(values[np.maximum(places, 0)])
+    return np.interp(wanted, at, values, left=np.nan, right=np.nan)
+
+
+def _one_clock(columns: dict[str, Array], stamps: Sequence[str]) -> tuple[dict[str, Array], list[str]]:
+    """The rows that have positions, of a table whose blanks are rows of other topics; and a sentence on it."""
+    masks = {name: np.isfinite(values) for name, values in columns.items() if values.dtype.kind == "f"}
+    time = next((name for name in columns if _is_clock(name, columns[name], stamps)), None)
+    groups: dict[bytes, list[str]] = {}
+    for name, mask in masks.items():
+        if name != time and mask.any():
+            groups.setdefault(mask.tobytes(), []).append(name)
+    if time is None or len(groups) < 2:
+        return columns, []
+    of_positions = [names for names in groups.values() if _positions(names)]
+    if not of_positions:
+        return columns, []
+    head = max(of_positions, key=lambda names: (_positions(names), int(masks[names[0]].sum())))
+    rows = masks[head[0]]
+    others = [names for names in groups.values() if names is not head]
+    elsewhere = np.zeros(len(rows), dtype=bool)
+    for names in others:
+        mask = masks[names[0]]
+        if float(np.mean(mask & rows)) < (1.0 - _HOLES) * min(float(np.mean(mask)), float(np.mean(rows))) or (
+            float(np.mean(mask[rows])) < _HOLES
+        ):
+            elsewhere |= mask
+    # Rows in which nothing else stands either are holes.
+    kept = rows | ~elsewhere
+    if not elsewhere.any():
+        return columns, []
+    clock = columns[time]
+    changed: dict[str, Array] = {}
+    resampled = []
+    for name, values in columns.items():
+        if name == time or name not in masks or not (mask := masks[name]).any() or np.mean(mask[kept]) >= _HOLES:
+            changed[name] = values[kept] if len(values) == len(kept) else values
+            continue
+        changed[name] = sampled(clock[mask], values[mask], clock[kept], _is_command(name))
+        resampled.append(name)
+    note = (
+        f"The table has the rows of several clocks: {int(kept.sum())} of {len(kept)} rows have the positions; "
+        f"{len(resampled)} columns of other clocks were read at their times."
+    )
+    return changed, [note]
+
+
+def _is_clock(name: str, values: Array, stamps: Sequence[str]) -> bool:
+    """Whether a column rises as a clock, by its name too."""
+    called = name in stamps or TIME_NAME.match(split_name(name)[0].strip("_ ")) is not None
+    known = values[np.isfinite(values)] if values.dtype.kind == "f" else values[:0]
+    return called and len(known) > 2 and bool(np.all(np.diff(known) >= 0.0)) and bool(known[-1] > known[0])

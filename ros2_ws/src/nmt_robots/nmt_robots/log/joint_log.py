@@ -25,7 +25,7 @@ class JointLog:
         torque_command: N × J, N·m, added by the drive to its control law; None = zero.
         torque: N × J, N·m, measured; None where it follows from the control law.
         position_gain, velocity_gain: J, N·m/rad and N·m·s/rad; None where they are not known.
-        position_unit: as the log was stated to have its positions; empty where nothing was stated.
+        position_units: of each joint, as the log was stated to have its positions; empty where nothing was stated.
         notes: sentences on how it was read.
     """
 
@@ -40,7 +40,7 @@ class JointLog:
     torque: Array | None = None
     position_gain: Array | None = None
     velocity_gain: Array | None = None
-    position_unit: str = ""
+    position_units: tuple[str, ...] = ()
     notes: tuple[str, ...] = field(default=())
 
     @property

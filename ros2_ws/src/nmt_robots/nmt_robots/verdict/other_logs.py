@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from nmt_robots.log.joint_log import Array
+from nmt_robots.log.robot_sidecar import robot_of_sidecar
 from nmt_robots.mechanics.ladder import JointProblem
 from nmt_robots.mechanics.readings import DriveTorque
 from nmt_robots.verdict.joint_verdict import JointVerdict, values_in_model
@@ -52,12 +54,14 @@ class OtherLog:
         left: by joint: rms of the torque, of what the model as it is, and of what the first log's terms leave of it,
             each about its mean, N·m.
         joints: the answer by this log alone.
+        model: file of a model of its own; empty = that of the first log.
     """
 
     source: str
     terms: tuple[ComparedTerm, ...]
     left: dict[str, tuple[float, float, float]]
     joints: tuple[JointVerdict, ...] = ()
+    model: str = ""
 
     @property
     def sentence(self) -> str:
@@ -66,11 +70,12 @@ class OtherLog:
         words = f"{agreeing} of {len(self.terms)} differing values agree within 2 ±" if self.terms else (
             "no log finds a value that differs"
         )  # fmt: skip
+        source = f"{self.source} with its own model {self.model}" if self.model else self.source
         if not self.left:
-            return f"{self.source}: {words}; no joint moves in both."
+            return f"{source}: {words}; no joint moves in both."
         model, terms = (float(np.sqrt(np.mean([row[place] ** 2 for row in self.left.values()]))) for place in (1, 2))
         return (
-            f"{self.source}: {words}; of its torque the model leaves {model:.3g} N·m, with the first log's values "
+            f"{source}: {words}; of its torque the model leaves {model:.3g} N·m, with the first log's values "
             f"{terms:.3g} N·m (rms over the joints)."
         )
 
@@ -78,6 +83,7 @@ class OtherLog:
         """As ``diagnosis.json`` has it."""
         return {
             "log": self.source,
+            "model": self.model,
             "terms": [
                 {"joint": term.joint, "words": term.words, "unit": term.unit, "first": list(term.first),
                  "other": list(term.other), "agrees": term.agrees}
@@ -87,8 +93,32 @@ class OtherLog:
         }  # fmt: skip
 
 
-def other_log(first: RobotDiagnosis, other: RobotDiagnosis) -> OtherLog:
-    """What a further log says of the answer of the first one; joints are matched by name."""
+def model_of_other_log(model: Path, first: Path, other: Path) -> Path:
+    """The model that a further log is tested with: its sidecar's own, where that is another than the first log's.
+
+    So a known mass that was hung on for the second log stands in a model of its own.
+
+    Args:
+        model: of the first log.
+        first, other: logs or their sidecars.
+
+    Raises:
+        BenchError: a sidecar is wrong, or its robot does not exist.
+    """
+    theirs = robot_of_sidecar(other)
+    if theirs is None or theirs.samefile(model):
+        return model
+    proposed = robot_of_sidecar(first)
+    return model if proposed is not None and theirs.samefile(proposed) else theirs
+
+
+def other_log(first: RobotDiagnosis, other: RobotDiagnosis, model: str = "") -> OtherLog:
+    """What a further log says of the answer of the first one; joints are matched by name.
+
+    Args:
+        first, other: by the two logs.
+        model: name of the further log's own model; empty = that of the first one.
+    """
     by_name = {verdict.joint.name: verdict for verdict in other.joints}
     terms: list[ComparedTerm] = []
     left: dict[str, tuple[float, float, float]] = {}
@@ -103,7 +133,7 @@ def other_log(first: RobotDiagnosis, other: RobotDiagnosis) -> OtherLog:
         number = other.log.joints.index(name)
         problem = JointProblem(other.motion, number, signals.of(number), other.log.joints)
         left[name] = _left(problem, verdict)
-    return OtherLog(other.log.source, tuple(terms), left, other.joints)
+    return OtherLog(other.log.source, tuple(terms), left, other.joints, model)
 
 
 def _compared(verdict: JointVerdict, match: JointVerdict) -> list[ComparedTerm]:

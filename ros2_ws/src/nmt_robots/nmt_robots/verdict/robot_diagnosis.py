@@ -49,7 +49,7 @@ from nmt_robots.verdict.joint_verdict import (
     without_claims,
 )
 from nmt_robots.verdict.next_motion import NextMotion, next_motion
-from nmt_robots.verdict.other_logs import OtherLog, other_log
+from nmt_robots.verdict.other_logs import OtherLog, model_of_other_log, other_log
 from nmt_robots.verdict.replay import Replay, replayed
 from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
@@ -227,7 +227,8 @@ def diagnose_robot_by_logs(
     others = []
     for path in real[1:]:
         progress(f"testing on {path.name}")
-        others.append(other_log(first, diagnose_robot(model, path)))
+        theirs = model_of_other_log(model, real[0], path)
+        others.append(other_log(first, diagnose_robot(theirs, path), "" if theirs == model else theirs.name))
     group = None
     if alike is not None:
         places = read_joint_table(alike, first.log.joints)
@@ -236,16 +237,16 @@ def diagnose_robot_by_logs(
 
 
 def check_units(log: JointLog, joints: tuple[Joint, ...]) -> None:
-    """Raise where no joint can have the unit of the positions.
+    """Raise where a joint cannot have the unit of its positions.
 
     Raises:
-        BenchError: lengths of joints that all turn, or angles in degrees of joints that all slide.
+        BenchError: lengths of a joint that turns, or angles of one that slides.
     """
-    turning = [joint.turns for joint in joints]
-    if log.position_unit in ("m", "mm") and all(turning):
-        raise BenchError(f"{log.source}: positions in {log.position_unit}, but all joints turn: give rad or deg.")
-    if log.position_unit == "deg" and not any(turning):
-        raise BenchError(f"{log.source}: positions in deg, but all joints slide: give m or mm.")
+    for joint, unit in zip(joints, log.position_units, strict=False):
+        if joint.turns and unit in ("m", "cm", "mm"):
+            raise BenchError(f"{log.source}: positions in {unit}, but {joint.name} turns: give rad, deg or turn.")
+        if not joint.turns and unit in ("deg", "turn", "mrad"):
+            raise BenchError(f"{log.source}: positions in {unit}, but {joint.name} slides: give m, cm or mm.")
 
 
 def contact_findings(robot: RobotModel, log: JointLog) -> list[Finding]:

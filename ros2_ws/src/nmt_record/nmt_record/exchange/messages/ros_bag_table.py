@@ -8,7 +8,7 @@ in the bag; those without one are left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -78,18 +78,14 @@ def bag_tables(path: Path) -> list[SourceTable]:
         BenchError: it is no bag or one of the bench's, it cannot be read, or no topic has numbers.
     """
     bag = _foreign(path)
-    topics = [topic for topic, (_, count) in bag.topics.items() if count >= FEWEST]
     notes: list[str] = list(bag.left_out.values())
     tables: list[SourceTable] = []
-    for topic, reader in _read(bag, topics, notes, "").items():
-        series, left_out = series_of(f"/{bench_name(topic)}", reader, ClockChoice())
-        for one in series:
-            one.notes += left_out
-            try:
-                tables.append(_table_of(path, [one], ClockChoice(), bag))
-            except BenchError as error:
-                notes.append(str(error))
-        notes += [] if series else left_out
+    for one, left_out in _every_series(bag, ClockChoice(), notes):
+        one.notes += left_out
+        try:
+            tables.append(_table_of(path, [one], ClockChoice(), bag))
+        except BenchError as error:
+            notes.append(str(error))
     if not tables:
         listed = ", ".join(f"/{topic} ({kind}, {count})" for topic, (kind, count) in sorted(bag.topics.items()))
         why = f" {' '.join(notes)}" if notes else ""
@@ -101,6 +97,31 @@ def bag_tables(path: Path) -> list[SourceTable]:
     for table in tables:
         table.notes += notes
     return tables
+
+
+def recordings_of(path: Path, choice: ClockChoice) -> tuple[list[tuple[Series, JudgedClock]], list[str]]:
+    """Each recording of a bag with the times of its messages as they were stamped, and notes.
+
+    Args:
+        path: folder, .mcap or .db3 file.
+        choice: what its reader says of the clock.
+
+    Raises:
+        BenchError: it is no bag or one of the bench's, or it cannot be read.
+    """
+    bag = _foreign(path)
+    notes: list[str] = list(bag.left_out.values())
+    return [(one, _judge(one, choice)) for one, _ in _every_series(bag, choice, notes)], notes
+
+
+def _every_series(bag: Bag, choice: ClockChoice, notes: list[str]) -> Iterator[tuple[Series, list[str]]]:
+    """The series of all topics, and for each what was left out of its topic; of a topic without any that is noted."""
+    topics = [topic for topic, (_, count) in bag.topics.items() if count >= FEWEST]
+    for topic, reader in _read(bag, topics, notes, choice.elements).items():
+        series, left_out = series_of(f"/{bench_name(topic)}", reader, choice)
+        for one in series:
+            yield one, left_out
+        notes += [] if series else left_out
 
 
 def read_bag(path: Path, wanted: Sequence[str | int], choice: ClockChoice | None = None) -> SourceTable:

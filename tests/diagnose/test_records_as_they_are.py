@@ -10,6 +10,8 @@ import pytest
 from diagnose.oscillator_records import OMEGA, RATE, RATIO, RIG, band_noise, imported, rig_in
 from scipy.signal import TransferFunction, lsim
 
+from nmt_core.messages.blocks import Quantity, SampleBlock
+from nmt_core.messages.wire import BlockWriter
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
@@ -23,6 +25,8 @@ from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise,
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_record.bag.bag_writer import BagWriter
+from nmt_record.bag.bench_topics import SAMPLE_BLOCK
 from nmt_rig.rig import Rig, load_rig
 
 FINER = 8
@@ -72,6 +76,27 @@ def with_cubic(folder: Path) -> Rig:
 
 def diagnosed(rig: Rig, bag: Path) -> Diagnosis:
     return diagnose_bags(rig, [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+
+
+def bridged(folder: Path, volts: FloatArray, motion: FloatArray) -> Path:
+    """Bag of force and displacement as bridge and recorder write it: blocks, and no run."""
+    writer = BagWriter(folder / "bridged")
+    for quantity, name, data in ((Quantity.FORCE, "f1", OMEGA**2 * volts), (Quantity.DISPLACEMENT, "x1", motion)):
+        writer.add_topic(quantity.topic, SAMPLE_BLOCK)
+        codec = BlockWriter("bridge")
+        for first in range(0, volts.size, 128):
+            rows = data[None, first : first + 128]
+            block = SampleBlock(first, RATE, quantity, quantity.unit, (name,), (1,), rows)
+            writer.write(quantity.topic, codec.write(block), first, first)
+    writer.close()
+    return folder / "bridged"
+
+
+def test_a_bridged_bag_goes_to_the_diagnosis_as_it_is(tmp_path: Path) -> None:
+    rig, volts = rig_in(tmp_path), band_noise(4096, 3, 0.05)
+    bag = bridged(tmp_path, volts, linear_response(volts))
+    assert [type(test) for test in read_observations([bag], rig).tests] == [DrivenRecord]
+    assert left(rig, bag) < 2e-3
 
 
 def left(rig: Rig, bag: Path) -> float:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
+import json
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from nmt_bench.cli import main
 from nmt_bench.harness import Bench
 from nmt_core.errors import BenchError
 from nmt_core.messages.command_judge import LONGEST_AHEAD
@@ -29,6 +31,19 @@ def send(bench: Bench, **goal: Any) -> Any:
     # Not spin_once, which does not rest while the sequencer awaits the end of its run.
     bench.work(answer, 60.0)
     return answer.result().result
+
+
+def test_the_goal_command_starts_the_run_of_nodes_that_are_there(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with Bench("beam", [0.3, 0.4], out=tmp_path / "out", window_periods=20, processes=True) as bench:
+        bench.spin_until(bench.client.server_is_ready, 60.0, "the action server")
+        bench.spin_until(lambda: not bench.client.liveness.unheard, 60.0, "all nodes")
+        (bench.out / "goal.json").write_text(json.dumps(bench.plan.goal), encoding="utf-8")
+        assert main(["goal", str(bench.out), "--domain", str(bench.domain_id)]) == 0
+        assert "2 of 2 levels locked" in capfd.readouterr().out
+        bag = wait_for_closed(bench, bench.out / "bag")
+    assert len(bag.lock_events()) == 2
 
 
 def wait_for_bag(bench: Bench) -> None:

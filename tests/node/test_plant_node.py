@@ -12,17 +12,19 @@ from rclpy.clock import ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
+from std_msgs.msg import Float64
 
 from nmt_bench.harness import Bench, Progress
-from nmt_core.base_node import BenchNode
+from nmt_core.base_node import SAMPLES_QOS, BenchNode
 from nmt_core.errors import BenchError
 from nmt_core.messages.command_judge import CommandSource
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import LoopState, PointStatus, ResultCode
-from nmt_msgs.msg import Drive
+from nmt_msgs.msg import Drive, SampleBlock
 from nmt_plant.devices.device import DeviceFault
 from nmt_plant.devices.loopback_device import LoopbackDevice
 from nmt_plant.plant_node import PlantNode
+from nmt_plant.plant_settings import PlantSettings
 from nmt_sequencer.sequencer_node import SequencerNode
 
 SIM_TIME = Parameter("use_sim_time", Parameter.Type.BOOL, True)
@@ -122,6 +124,22 @@ def test_warnings_and_margins_are_published(tmp_path: Path) -> None:
     assert "warning" in values["warnings"]
     assert '"f' in values["margins"]
     assert "output_pid" not in values
+
+
+def test_a_plant_that_is_started_alone_runs_in_real_time_with_numbers_to_plot(bench: Bench) -> None:
+    plant = PlantNode(PlantSettings(rig_file="beam"), context=bench.context, namespace="alone")
+    bench.add_node("alone/plant", plant)
+    found: dict[str, list[Any]] = {}
+    reader = Node("reader", context=bench.context, namespace="alone", enable_rosout=False)
+    reader.create_subscription(SampleBlock, "force", found.setdefault("force", []).append, SAMPLES_QOS)
+    for topic in ("force", "acceleration", "frequency"):
+        reader.create_subscription(Float64, f"view/{topic}", found.setdefault(f"view/{topic}", []).append, 10)
+    bench.add_node("reader", reader)
+    bench.spin_until(lambda: all(len(heard) > 3 for heard in found.values()) and len(found) == 4, 15.0, "samples")
+    blocks = found["force"]
+    assert blocks[-1].first_sample > blocks[0].first_sample
+    assert found["view/frequency"][-1].data == 0.0  # nothing drives
+    assert not any(name.startswith("/view") for name, _ in reader.get_topic_names_and_types())  # in lockstep none
 
 
 def test_a_failure_of_the_run_before_does_not_end_the_next(bench: Bench) -> None:

@@ -136,6 +136,24 @@ def test_stamps_that_do_not_rise_are_counted(table: BridgeTable) -> None:
     assert bridge.late == 2
 
 
+@pytest.mark.parametrize(
+    ("name", "unit", "topic"),
+    [
+        ("angle", "rad", "displacement"),
+        ("angular_velocity", "rad/s", "velocity"),
+        ("angular_acceleration", "rad/s^2", "acceleration"),
+        ("torque", "N*m", "force"),
+    ],
+)
+def test_what_turns_has_its_unit_on_the_topic_of_what_moves(name: str, unit: str, topic: str, tmp_path: Path) -> None:
+    other = "force" if topic == "force" else "acceleration"
+    (tmp_path / "table.yaml").write_text(TABLE.replace(f"quantity: {other}", f"quantity: {name}"))
+    bridge = TopicBridge(read_channel_table(tmp_path / "table.yaml"))
+    blocks = fed(bridge, np.arange(2000) / 1000.0, np.arange(2000) / 1000.0)
+    assert {block.unit for block in blocks if block.quantity.topic == topic} == {unit}
+    assert all(block.quantity.accepts(block.unit) for block in blocks)
+
+
 def test_beside_a_plant_its_sample_index_is_taken(table: BridgeTable) -> None:
     random = np.random.default_rng(2)
     bridge = TopicBridge(table, beside_plant=True)
@@ -160,6 +178,7 @@ def test_beside_a_plant_its_sample_index_is_taken(table: BridgeTable) -> None:
     [
         ("sample_rate: 1000", "sample_rate: fast", "line 2: sample_rate must be a number"),
         ("quantity: force", "quantity: strength", "quantity must be one of force"),
+        ("quantity: force", "quantity: angular_acceleration", "topic acceleration, which has one unit"),
         ("std_msgs/msg/Float64MultiArray", "Float64MultiArray", "type must be written as package/msg/Name"),
         ("field: data.2, ", "", "'field' of the channel is missing"),
         ("scale: 4.448", "gain: 4.448", "'gain' is not known"),

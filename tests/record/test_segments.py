@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -82,6 +83,49 @@ def test_samples_and_phase_are_contiguous_over_blocks(tmp_path):
     assert signals.oscillator is not None
     assert 0.0 <= signals.oscillator[0] < 1.0
     assert np.allclose(signals.oscillator, cycles - math.floor(cycles[0]), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("missing", "expected"),
+    [
+        ((), [(0, 2000)]),
+        ((0, 1, 19), [(200, 1900)]),
+        ((3,), [(400, 2000)]),  # what comes before is less than half as long
+        ((9,), [(0, 900), (1000, 2000)]),
+    ],
+)
+def test_samples_without_a_run_are_records_of_what_is_whole(tmp_path, missing, expected):
+    """Missing blocks and blocks with a NaN end a stretch alike, in any topic; as a bridge and a recorder write them."""
+    for broken in ("left out", "not a number"):
+        path = tmp_path / broken
+        present = range(20) if broken == "not a number" else [n for n in range(20) if n not in missing]
+        writer = write(path, blocks=present)
+        if broken == "not a number":
+            writer.close()
+            writer = BagWriter(path.with_name("nan"))
+            for topic in ("force", "displacement"):
+                writer.add_topic(topic, SAMPLE_BLOCK)
+            for topic in ("force", "displacement"):
+                for block in Bag.open(path).blocks(topic):
+                    data = block.data.copy()
+                    if topic == "force" and block.first_sample // BLOCK in missing:
+                        data[0, 7] = math.nan
+                    raw = BlockWriter("rig").write(dataclasses.replace(block, data=data))
+                    writer.write(topic, raw, block.first_sample, block.first_sample)
+            path = path.with_name("nan")
+        writer.close()
+        found = segments(Bag.open(path))
+        assert [(it.first_sample, it.end_sample) for it in found] == expected
+        assert {it.kind for it in found} == {TestKind.RECORD}
+        assert not any(it.fault for it in found)
+
+
+def test_a_run_that_did_not_lock_is_no_record(tmp_path):
+    run = write(tmp_path / "bag")
+    run.add_topic("run_state", "nmt_msgs/msg/RunState")
+    run.write("run_state", bytes(64), 0, 0)
+    run.close()
+    assert segments(Bag.open(tmp_path / "bag")) == []
 
 
 def test_missing_blocks_are_named_and_do_not_cost_turns(tmp_path):

@@ -64,7 +64,8 @@ COMMANDS = {
     "reference": "computed backbone of a rig's model (EPMC, harmonic balance)",
     "stop": "emergency stop of the benches of this host",
     "rigs": "the rigs that can be given by name",
-    "params": "parameter file of a rig for starting the nodes with 'ros2 run'",
+    "params": "parameter file of a rig for starting the nodes one by one",
+    "goal": "starts the run of nodes that were started one by one",
     "completion": "completion of commands and options for bash or zsh",
     "help": "the commands, or the options of one",
 }

@@ -39,7 +39,7 @@ from nmt_bench.orchestration.bench_domain import BenchDomain, bench_environment
 from nmt_bench.orchestration.interrupts import deferred_interrupts, unbroken
 from nmt_bench.orchestration.node_processes import NodeProcesses
 from nmt_bench.orchestration.prepared_nodes import NodeLoader, take_loader
-from nmt_bench.orchestration.run_client_node import RunClient
+from nmt_bench.orchestration.run_client_node import RESEND, RunClient
 from nmt_bench.orchestration.surroundings import check_surroundings
 from nmt_core.dds_profile import PROFILE_VARIABLE, lockstep_profile
 from nmt_core.errors import BenchError
@@ -63,7 +63,7 @@ from nmt_session.run_result import Progress, RunResult, with_cause
 
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
 _POLL = 0.02
-_RESEND = 1.5  # s without an answer after which the goal, or the wish for its result, is sent again
+_RESEND = RESEND
 _STILL = HANG_LIMIT + 15.0  # s without progress of the recorder after which its bag stays open
 _NOTE_AFTER = 5.0  # s that a run is held up, or the recorder writes on, before it is said, and between two notes
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
@@ -366,34 +366,23 @@ class Bench:
             self.client.destroy_client(client)
 
     def _send_goal(self, on_progress: Callable[[Progress], None] | None) -> Any:
-        """Send the goal until it is answered; returns its handle.
+        """Handle of the goal once it is answered.
 
-        The server may answer before it has found the reader of its answers, which then never comes. A goal that is sent
-        again keeps its name: a server that knows it refuses to begin it twice, and lists it in its status. That status
-        may come later than the refusal, so only the first refusal is one of the plan; any answer of any attempt counts.
+        Raises:
+            BenchError: no answer comes, or a node ended.
         """
-        goal_id = self.client.new_goal_id()
-        end = time.monotonic() + START_TIMEOUT
-        sent: list[Any] = []
-        while True:
-            sent.append(self.client.send_goal(self.plan.goal, on_progress, goal_id))
-            patience = min(time.monotonic() + _RESEND, end)
-            while time.monotonic() < patience:
-                answers = [future.result() for future in sent if future.done()]
-                accepted = next((answer for answer in answers if answer.accepted), None)
-                if accepted is not None:
-                    return accepted
-                if self.client.is_known(goal_id):
-                    return self.client.handle_of(goal_id)
-                if sent[0].done():
-                    return sent[0].result()
-                self._check_start()
-                self.turn()
-            if time.monotonic() >= end:
-                raise BenchError(
-                    f"Waited {START_TIMEOUT:g} s in vain for the goal's answer; the logs in {self.out / 'log'} may say "
-                    "why."
-                )
+
+        def turn() -> None:
+            self._check_start()
+            self.turn()
+
+        handle = self.client.begin(self.plan.goal, on_progress, turn, START_TIMEOUT, _RESEND)
+        if handle is None:
+            logs = self.out / "log"
+            raise BenchError(
+                f"Waited {START_TIMEOUT:g} s in vain for the goal's answer; the logs in {logs} may say why."
+            )
+        return handle
 
     def spin_until(self, done: Callable[[], bool], timeout: float, what: str) -> None:
         """Let in-process nodes work until something is so.

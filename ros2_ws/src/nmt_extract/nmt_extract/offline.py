@@ -177,9 +177,8 @@ def _require(bag: Any, settings: ExtractionSettings) -> None:
         )
     if not _count(bag, "lock") and not _count(bag, "frequency"):
         raise BenchError(
-            f"The bag {bag.path} has no 'lock' events, so no window to extract (it has {has}); record a "
-            "run of the "
-            "bench with its phase-locked loop."
+            f"The bag {bag.path} has no 'lock' events, so no window to extract (it has {has}); a record without a "
+            f"run goes to './nmt diagnose --model RIG --real {bag.path}'."
         )
     if not _count(bag, "lock"):
         raise BenchError(

@@ -14,14 +14,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from std_msgs.msg import Bool, UInt64
+from std_msgs.msg import Bool, Float64, UInt64
 from std_srvs.srv import Trigger
 
 from nmt_core.base_node import SAMPLES_QOS, STATE_QOS, BenchNode, spin_node
 from nmt_core.errors import BenchError
-from nmt_core.messages.blocks import SampleBlock
+from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.bundle import LOOP_INPUT, PLANT_BUNDLE, BundleWriter
 from nmt_core.messages.command_judge import CommandSource
+from nmt_core.messages.records import SignalLevels
 from nmt_core.messages.run_announcement import TAKEN_TOPICS
 from nmt_core.messages.wire import DRIVE_STOP, MONITOR, RUN_STATE, BlockWriter, read_drive
 from nmt_core.nodes.liveness import READY
@@ -122,6 +123,9 @@ class PlantNode(BenchNode):
             bundles = self.bench_publisher(Bundle, PLANT_BUNDLE, SAMPLES_QOS)
             self._bundle = BundleWriter(topics, bundled, bundles.publish)
         self._monitor = self.bench_publisher(Monitor, "monitor", SAMPLES_QOS)
+        # Plain numbers for tools that plot, which need no message of the bench's; lockstep is too fast to be watched.
+        viewed = [] if self._lockstep else ["frequency", *(quantity.topic for quantity in self.core.quantities)]
+        self._views = {topic: self.create_publisher(Float64, f"view/{topic}", 10) for topic in viewed}
         self.command_subscription(Drive, "drive", self._on_drive, SAMPLES_QOS)
         self.bench_subscription(RunState, "run_state", self._on_run_state, STATE_QOS, raw=True)
         if lead and self.in_lockstep:
@@ -135,6 +139,11 @@ class PlantNode(BenchNode):
         self.bench_service(Trigger, "quiet", self._quiet)
         self.bench_service(Trigger, "reset", self._reset)
         self._guard_timer = self.steady_timer(_GUARD_PERIOD, self._guard)
+        alone = not self.watched_nodes
+        if alone and self._lockstep:
+            self.get_logger().info("Waits for a run, whose nodes set the pace; '-p pacing:=realtime' needs none")
+        elif alone:
+            self.core.running, self._started = True, time.monotonic()
         if not self._lockstep:
             self._tick_timer = self.steady_timer(min(1.0e-3, self._period / 8.0), self._tick)
 
@@ -249,8 +258,17 @@ class PlantNode(BenchNode):
             self._monitor.publish(monitor)
             if self._bundle is not None:
                 self._bundle.add("monitor", monitor)
+            self._publish_views(levels)
         if self._bundle is not None:
             self._bundle.end_block(last=self.core.phase != RunPhase.RUNNING)
+
+    def _publish_views(self, levels: SignalLevels) -> None:
+        """Frequency of the drive, and the largest magnitude of each quantity at the drive point since the last view."""
+        for topic, publisher in self._views.items():
+            value = levels.frequency_hz
+            if topic != "frequency":
+                value = levels.drive_point[Quantity[topic.upper()] - Quantity.FORCE][0]
+            publisher.publish(Float64(data=float(value)))
 
     def _publish_loop_input(self, joined: BundleWriter, blocks: list[SampleBlock], written: list[bytes]) -> None:
         """What the loop waits for, in one message and before all else; ``written``: the blocks as messages."""

@@ -18,8 +18,9 @@ class PlantSettings(NodeSettings):
 
     rig_file: str = setting("", "Rig file to simulate: a path, or the name of a rig that comes with the bench.")
     pacing: str = setting(
-        "lockstep",
-        "lockstep: every block waits for the drive computed from the one before; realtime: paced by the converter.",
+        "realtime",
+        "realtime: paced by the converter; without nodes to watch blocks come from the start on. lockstep: every block"
+        " waits for the drive computed from the one before.",
         choices=PACINGS,
     )
     latency_blocks: int = setting(

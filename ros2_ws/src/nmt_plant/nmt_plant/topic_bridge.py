@@ -191,7 +191,7 @@ class TopicBridge:
                 self._next,
                 self._rate,
                 quantity,
-                quantity.unit,
+                own[0].unit,
                 tuple(channel.name for channel in own),
                 tuple(channel.point for channel in own),
                 data,

@@ -12,8 +12,18 @@ from nmt_core.errors import BenchError
 from nmt_core.files.yaml_document import YamlDocument, read_document
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.named_elements import NamedField
+from nmt_core.vocabulary import ROTATION_UNITS
 
-_QUANTITIES = ("force", "displacement", "velocity", "acceleration", "voltage", "current")
+_QUANTITIES = {
+    **{quantity.topic: (quantity, quantity.unit) for quantity in Quantity if quantity is not Quantity.UNKNOWN},
+    **{
+        name: (quantity, unit)
+        for name, (quantity, unit) in zip(
+            ("torque", "angle", "angular_velocity", "angular_acceleration"), ROTATION_UNITS.items(), strict=True
+        )
+    },
+}
+"""By the name in a table: quantity of the channel on the bench, and SI unit. An angle stands where a motion does."""
 _KEYS = ("topic", "type", "field", "quantity", "point", "scale", "delay_s", "name")
 
 
@@ -27,6 +37,7 @@ class BridgeChannel:
         field: path of the number in the message, as a column of an imported bag: ``linear_acceleration.z``,
             ``data.1``, ``position.elbow``.
         quantity: what it measures.
+        unit: SI unit: that of a rotation where it turns.
         point: measurement point; 0 = none.
         scale: factor of the values to the SI unit of the quantity.
         delay: by which the stamps are late, s.
@@ -37,6 +48,7 @@ class BridgeChannel:
     kind: str
     field: str
     quantity: Quantity
+    unit: str
     point: int
     scale: float
     delay: float
@@ -112,6 +124,12 @@ def read_channel_table(path: Path) -> BridgeTable:
     for number, channel in enumerate(channels):
         if kinds.setdefault(channel.topic, channel.kind) != channel.kind:
             raise BenchError(f"{document.place(('channels', number))}: topic {channel.topic} has two types.")
+        other_unit = next((it.unit for it in channels[:number] if it.quantity is channel.quantity), channel.unit)
+        if other_unit != channel.unit:
+            raise BenchError(
+                f"{document.place(('channels', number))}: {channel.name} in {channel.unit} and channels in "
+                f"{other_unit} would share the topic {channel.quantity.topic}, which has one unit; leave one out."
+            )
         if channel.name in (other.name for other in channels[:number]):
             raise BenchError(f"{document.place(('channels', number))}: two channels are named {channel.name}.")
     return BridgeTable(rate, round(block), channels, clock)
@@ -139,13 +157,14 @@ def _channel(document: YamlDocument, number: int, section: Any) -> BridgeChannel
         raise BenchError(f"{place}: type must be written as package/msg/Name, got '{section['type']}'.")
     if section["quantity"] not in _QUANTITIES:
         raise BenchError(f"{place}: quantity must be one of {', '.join(_QUANTITIES)}, got '{section['quantity']}'.")
-    quantity = Quantity[section["quantity"].upper()]
+    quantity, unit = _QUANTITIES[section["quantity"]]
     point = _number(document, (*path, "point"), section.get("point", 0), 0, 10_000)
     return BridgeChannel(
         "/" + section["topic"].lstrip("/"),
         section["type"],
         section["field"],
         quantity,
+        unit,
         round(point),
         _number(document, (*path, "scale"), section.get("scale", 1.0), -1e12, 1e12),
         _number(document, (*path, "delay_s"), section.get("delay_s", 0.0), -10.0, 10.0),

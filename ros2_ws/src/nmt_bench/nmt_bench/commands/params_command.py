@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import json
+import shlex
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,11 +14,11 @@ from nmt_core.options import argument, option
 
 @dataclass(frozen=True, kw_only=True)
 class ParamsOptions:
-    """Writes what the nodes need to test a rig: nodes.yaml for '--ros-args --params-file', rig.yaml and run.json, and
-    prints the commands that start the nodes and the run."""
+    """Writes what the nodes need to test a rig: nodes.yaml for '--ros-args --params-file', rig.yaml, run.json and
+    goal.json, and prints the commands that start the nodes and the run."""
 
     rig: str = argument("name of a rig (for example beam) or path of a rig file", metavar="RIG")
-    out: Path = dated_folder_option("nodes.yaml, rig.yaml, run.json", "params")
+    out: Path = dated_folder_option("nodes.yaml, rig.yaml, run.json, goal.json", "params")
     force: bool = replace_option()
     exciter: int | None = option(None, "drive point (default: the rig's)", metavar="N")
     levels: str | None = option(None, "drive amplitudes in V, as in './nmt run' (default: the rig's)", metavar="PLAN")
@@ -45,7 +46,7 @@ def run(options: ParamsOptions) -> int:
 
     out: Path = options.out.resolve()
     with OutputFolder(options.out, options.force) as folder:
-        plan = write_bench_files(
+        write_bench_files(
             options.rig,
             folder,
             out,
@@ -55,15 +56,13 @@ def run(options: ParamsOptions) -> int:
             device=options.device,
         )
     console = make_console()
+    starter = "ros2 run" if shutil.which("ros2") else "./nmt ros"
     console.print("Start each node in a terminal of its own, the sequencer last:")
     for name in ("recorder", "extract", "pll", "plant", "sequencer"):
         package, executable, _ = NODES[name]
         console.print(
-            f"  ros2 run {package} {executable} --ros-args --params-file {out / 'nodes.yaml'}", soft_wrap=True
+            f"  {starter} {package} {executable} --ros-args --params-file {out / 'nodes.yaml'}", soft_wrap=True
         )
     console.print("Then start the run:")
-    console.print(
-        f"  ros2 action send_goal --feedback /run_levels nmt_msgs/action/RunLevels '{json.dumps(plan.goal)}'",
-        soft_wrap=True,
-    )
+    console.print(f"  ./nmt goal {shlex.quote(str(options.out))}", soft_wrap=True)
     return 0

@@ -15,6 +15,9 @@ from nmt_session.node_plan import NodePlan, plan_nodes
 from nmt_session.plan_of_test import PlanSettings, TestPlan
 from nmt_session.planning import kind_of_rig
 
+GOAL_FILE = "goal.json"
+"""Fields of the goal of the run for which the nodes have their parameters."""
+
 
 def write_bench_files(
     rig_name: str,
@@ -26,7 +29,7 @@ def write_bench_files(
     changes: Sequence[str] = (),
     device: str = "",
 ) -> NodePlan:
-    """Write ``nodes.yaml`` (for ``--params-file``), ``rig.yaml`` and ``run.json``.
+    """Write ``nodes.yaml`` (for ``--params-file``), ``rig.yaml``, ``run.json`` and ``goal.json``.
 
     Args:
         rig_name: name of a rig that comes with the bench, or path of a rig file.
@@ -60,6 +63,7 @@ def write_bench_files(
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "rig.yaml").write_text(text, encoding="utf-8")
         (folder / "run.json").write_text(json.dumps(plan.run, indent=2) + "\n", encoding="utf-8")
+        (folder / GOAL_FILE).write_text(json.dumps(plan.goal) + "\n", encoding="utf-8")
         plan.write_parameters(folder / "nodes.yaml")
     except OSError as error:
         raise BenchError(f"The folder {folder} cannot be written ({error.strerror}); choose another.") from error

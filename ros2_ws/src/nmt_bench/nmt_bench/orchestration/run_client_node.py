@@ -14,12 +14,16 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
 from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import qos_profile_action_status_default
 from std_msgs.msg import String
 from unique_identifier_msgs.msg import UUID
 
+from nmt_bench.orchestration.interrupts import terminate_as_interrupt
+from nmt_bench.orchestration.stop_node import visitor_of
 from nmt_core.base_node import STATE_QOS
+from nmt_core.errors import BenchError
 from nmt_core.messages.run_announcement import BAG_TOPIC, BagState
 from nmt_core.messages.wire import RUN_STATE, read_diagnostics
 from nmt_core.nodes.liveness import Liveness
@@ -29,14 +33,18 @@ from nmt_msgs.msg import RunState
 from nmt_msgs.srv import Steer
 from nmt_session.run_result import Progress
 
+RESEND = 1.5
+"""Seconds without an answer after which the goal, or the wish for its result, is sent again."""
 _SILENCE = 3.0  # s without a heartbeat after which a node that runs as a process is lost in real time
 
 
 class RunClient(Node):  # type: ignore[misc]
-    """Action client and listener of the harness."""
+    """Action client and listener of the harness and of ``./nmt goal``."""
 
-    def __init__(self, context: Context, nodes: Sequence[str], lockstep: bool) -> None:
-        super().__init__("bench_client", context=context, enable_rosout=False, start_parameter_services=False)
+    def __init__(self, context: Context, nodes: Sequence[str], lockstep: bool, namespace: str = "") -> None:
+        super().__init__(
+            "bench_client", context=context, namespace=namespace, enable_rosout=False, start_parameter_services=False
+        )
         self.action_client = ActionClient(self, RunLevels, "run_levels")
         self.steer = self.create_client(Steer, "steer")
         self.liveness = Liveness(nodes, _SILENCE, lockstep=lockstep)
@@ -81,6 +89,44 @@ class RunClient(Node):  # type: ignore[misc]
         return self.action_client.send_goal_async(
             RunLevels.Goal(**goal), feedback_callback=on_feedback, goal_uuid=goal_id or self.new_goal_id()
         )
+
+    def begin(
+        self,
+        goal: Mapping[str, Any],
+        on_progress: Callable[[Progress], None] | None,
+        turn: Callable[[], None],
+        patience: float,
+        again: float = RESEND,
+    ) -> Any:
+        """Send a goal until it is answered; returns its handle, None without an answer.
+
+        The server may answer before it has found the reader of its answers, which then never comes. A goal that is sent
+        again keeps its name: a server that knows it refuses to begin it twice, and lists it in its status. That status
+        may come later than the refusal, so only the first refusal is one of the plan; any answer of any attempt counts.
+
+        Args:
+            goal, on_progress: as of :meth:`send_goal`.
+            turn: lets this node work for a moment; what it raises ends the wait.
+            patience: s to wait for an answer.
+            again: s without an answer after which the goal is sent again.
+        """
+        goal_id = self.new_goal_id()
+        end = time.monotonic() + patience
+        sent: list[Any] = []
+        while time.monotonic() < end:
+            sent.append(self.send_goal(goal, on_progress, goal_id))
+            resend = min(time.monotonic() + again, end)
+            while time.monotonic() < resend:
+                answers = [future.result() for future in sent if future.done()]
+                accepted = next((answer for answer in answers if answer.accepted), None)
+                if accepted is not None:
+                    return accepted
+                if self.is_known(goal_id):
+                    return self.handle_of(goal_id)
+                if sent[0].done():
+                    return sent[0].result()
+                turn()
+        return None
 
     def is_known(self, goal_id: UUID) -> bool:
         """Whether the server lists a goal, which it does from its acceptance on."""
@@ -169,3 +215,61 @@ class RunClient(Node):  # type: ignore[misc]
         if plant.get("tripped"):
             lines.append(f"Plant: {plant['tripped']}.")
         return lines
+
+
+def run_beside(
+    domain: int, namespace: str, goal: Mapping[str, Any], on_progress: Callable[[Progress], None], patience: float
+) -> tuple[Any, bool]:
+    """Run a goal on the nodes of a domain, which somebody else has started.
+
+    Args:
+        domain: ROS domain.
+        namespace: of the nodes.
+        goal: fields of the goal.
+        on_progress: called with each feedback.
+        patience: s to wait for the sequencer, and for its answer.
+
+    Returns:
+        The action's result, and whether Ctrl-C came, by which the drive goes to zero.
+
+    Raises:
+        BenchError: a field that no goal has, no sequencer that answers, or one that refuses.
+    """
+    try:
+        RunLevels.Goal(**goal)
+    except (AssertionError, TypeError, ValueError) as error:
+        raise BenchError(f"The plan is no goal of a run ({error}); write it anew with './nmt params'.") from error
+    with visitor_of(domain) as context, terminate_as_interrupt():
+        client = RunClient(context, (), lockstep=False, namespace=namespace)
+        executor = SingleThreadedExecutor(context=context)
+        executor.add_node(client)
+
+        def turn() -> None:
+            executor.spin_once(timeout_sec=0.1)
+
+        try:
+            end = time.monotonic() + patience
+            while not client.server_is_ready() and time.monotonic() < end:
+                turn()
+            handle = client.begin(goal, on_progress, turn, patience) if client.server_is_ready() else None
+            if handle is None:
+                bench = f"ROS domain {domain}" + (f" under {namespace}" if namespace else "")
+                raise BenchError(
+                    f"No sequencer answers in {bench}; start the nodes that './nmt params' prints, then send the goal "
+                    "again."
+                )
+            if not handle.accepted:
+                raise BenchError("The sequencer refused the plan; its terminal says why.")
+            future, interrupted = handle.get_result_async(), False
+            while not future.done():
+                try:
+                    turn()
+                except KeyboardInterrupt:
+                    if interrupted:
+                        raise
+                    interrupted = True
+                    handle.cancel_goal_async()
+            return future.result().result, interrupted
+        finally:
+            executor.shutdown()
+            client.destroy_node()

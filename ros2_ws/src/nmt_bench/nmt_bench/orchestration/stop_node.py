@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
+from collections.abc import Iterator
 
 import rclpy
 from rclpy.context import Context
@@ -57,6 +59,21 @@ class StopNode(Node):  # type: ignore[misc]
             self.answer = stop
 
 
+@contextlib.contextmanager
+def visitor_of(domain: int) -> Iterator[Context]:
+    """A context for a node beside those of the bench of a domain, and the bench's environment while it lasts."""
+    before = dict(os.environ)
+    os.environ.update(bench_environment(domain))
+    context = Context()
+    try:
+        rclpy.init(args=[], context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+        yield context
+    finally:
+        rclpy.try_shutdown(context=context)
+        os.environ.clear()
+        os.environ.update(before)
+
+
 def send_stop(domain: int, namespace: str = "", timeout: float = 5.0) -> DriveStop | None:
     """Stop the bench of a domain.
 
@@ -68,11 +85,7 @@ def send_stop(domain: int, namespace: str = "", timeout: float = 5.0) -> DriveSt
     Returns:
         What its plant said last; None where no plant answered.
     """
-    before = dict(os.environ)
-    os.environ.update(bench_environment(domain))
-    context = Context()
-    try:
-        rclpy.init(args=[], context=context, domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
+    with visitor_of(domain) as context:
         node = StopNode(context, namespace)
         executor = SingleThreadedExecutor(context=context)
         executor.add_node(node)
@@ -84,7 +97,3 @@ def send_stop(domain: int, namespace: str = "", timeout: float = 5.0) -> DriveSt
         executor.shutdown()
         node.destroy_node()
         return answer
-    finally:
-        rclpy.try_shutdown(context=context)
-        os.environ.clear()
-        os.environ.update(before)

@@ -6,6 +6,7 @@ import math
 from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -128,12 +129,13 @@ def needed_topics(bag: Bag) -> tuple[str, ...]:
 def segments(bag: Bag) -> list[Segment]:
     """Windows of a recorded run, in the order of their lock events.
 
-    Recordings from before there were kinds of test hold phase resonance windows.
+    Recordings from before there were kinds of test hold phase resonance windows. Samples of which no run says what they
+    are, such as those of a bridge, are a record.
 
     Raises:
         BenchError: the bag is damaged.
     """
-    events: list[LockEvent] = []
+    events = _records(bag) if _is_without_run(bag) else []
     topics = needed_topics(bag)
     table = SampleTable(
         topics,
@@ -141,9 +143,11 @@ def segments(bag: Bag) -> list[Segment]:
         minimum_periods=_minimum_periods(bag),
         one_acquisition=True,
     )
+    for number, event in enumerate(events):
+        table.add_window(number, _window(event))
     readers = {topic: BlockReader() for topic in topics}
     wanted = [topic for topic in (*topics, "frequency", "lock") if topic in bag.topics]
-    for topic, _, _, raw in bag.raw_messages(wanted) if "lock" in bag.topics else ():
+    for topic, _, _, raw in bag.raw_messages(wanted) if events or "lock" in bag.topics else ():
         if topic == "lock":
             event = _lock_event(bag, raw)
             table.add_window(len(events), _window(event))
@@ -326,6 +330,50 @@ class _Clock:
 
     def at(self, sample: float) -> float:
         return float(np.interp(sample, self._samples, self._values))
+
+
+def _is_without_run(bag: Bag) -> bool:
+    """Whether no run drove what a bag holds, or marked a window in it."""
+    marked = any(bag.topics.get(topic, ("", 0))[1] for topic in ("lock", "level", "frequency", "run_state"))
+    return not marked and "plan" not in (bag.run_start or {})
+
+
+def _records(bag: Bag) -> list[LockEvent]:
+    """The longest stretch in which no sample of any topic is missing, and those of at least half its length."""
+    readers = {topic: BlockReader() for topic in needed_topics(bag)}
+    stretches: dict[str, list[tuple[int, int]]] = {topic: [] for topic in readers}
+    for topic, _, _, raw in bag.raw_messages(readers) if readers else ():
+        try:
+            block = readers[topic].read(raw)
+        except ValueError:
+            continue
+        if not np.isfinite(block.data).all():
+            continue
+        found, first = stretches[topic], block.first_sample
+        if found and found[-1][1] == first:
+            first = found.pop()[0]
+        found.append((first, block.end_sample))
+    common = reduce(_overlaps, stretches.values()) if stretches else []
+    longest = max((end - first for first, end in common), default=0)
+    chosen = [(first, end) for first, end in common if 2 * (end - first) >= longest]
+    return [
+        LockEvent(index, math.nan, "V", first, 0.0, math.nan, first, end - first, 0, TestKind.RECORD)
+        for index, (first, end) in enumerate(chosen)
+    ]
+
+
+def _overlaps(some: list[tuple[int, int]], others: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Stretches that both have; each in order."""
+    found, i, j = [], 0, 0
+    while i < len(some) and j < len(others):
+        first, end = max(some[i][0], others[j][0]), min(some[i][1], others[j][1])
+        if first < end:
+            found.append((first, end))
+        if some[i][1] <= others[j][1]:
+            i += 1
+        else:
+            j += 1
+    return found
 
 
 def _extraction(bag: Bag) -> dict[str, Any]:

@@ -178,7 +178,10 @@ def read_bag(path: Path, wanted: Sequence[str | int], choice: ClockChoice | None
 def _foreign(path: Path) -> Bag:
     bag = Bag.open(path)
     if not is_foreign(bag):
-        raise BenchError(f"{path.name} is a bag of the bench; it needs no import, give it to './nmt extract'.")
+        raise BenchError(
+            f"{path.name} is a bag of the bench; it needs no import, give it to './nmt extract', "
+            "or, without a run in it, to './nmt diagnose --model RIG --real'."
+        )
     return bag
 
 

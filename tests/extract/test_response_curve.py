@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +73,45 @@ def test_uncertain_frequencies_make_uncertain_folds():
     )
     assert dull.frequency_hz_std > 0.009
     assert dull.lag_std > 3.0 * sharp.lag_std
+
+
+@pytest.mark.parametrize("count", [6, 8, 10, 14, 22])
+def test_a_coarse_fold_is_as_uncertain_as_its_spacing_makes_it(count, monkeypatch):
+    """Of 40 curves with even and uneven lags few places are beyond two uncertainties, and none is stated blindly."""
+    generator = np.random.default_rng(count)
+    errors = []
+    for _ in range(40):
+        monkeypatch.setattr(sys.modules[__name__], "CUBIC", 10 ** generator.uniform(-1.6, -0.5))
+        monkeypatch.setattr(sys.modules[__name__], "ZETA", 10 ** generator.uniform(-2.5, -1.6))
+        low, high = np.radians(generator.uniform(5, 40)), np.radians(generator.uniform(140, 175))
+        even = np.linspace(low, high, count)
+        lags = even + generator.choice([0.0, 0.3]) * (even[1] - even[0]) * generator.uniform(-1, 1, count)
+        (curve,) = response_curves([point(lag, index) for index, lag in enumerate(lags)])
+        grid = np.linspace(lags[0], lags[-1], 2001)
+        rises = np.array([slope(lag) for lag in grid]) > 0.0
+        exact = [brentq(slope, grid[k], grid[k + 1]) for k in np.flatnonzero(rises[1:] != rises[:-1])]
+        for fold in curve.folds:
+            lag = min(exact, key=lambda place, fold=fold: abs(place - fold.lag))
+            hertz = omega_of(lag) / (2.0 * math.pi)
+            errors.append(((fold.lag - lag) / fold.lag_std, (fold.frequency_hz - hertz) / fold.frequency_hz_std))
+    beyond = np.abs(errors)
+    assert len(errors) > 15
+    assert np.mean(beyond > 2.0, axis=0).max() < 0.15
+    assert beyond.max() < 15.0
+
+
+def test_a_curve_that_was_stopped_says_so_and_no_tries():
+    cut = replace(
+        POINTS[12], status=PointStatus.REJECTED, reason="The loop did not hold its lock (the drive goes to zero)."
+    )
+    (curve,) = response_curves([*POINTS[:12], cut])
+    sentences = curve_sentences([curve])
+    assert curve.missing == ()
+    assert sentences[-1].startswith("At 2 N the test ended at the point at")
+    assert not any("tried" in sentence for sentence in sentences)
+    lost = replace(POINTS[5], status=PointStatus.NOT_LOCKED, reason="No lock.")
+    (curve,) = response_curves([*POINTS[:5], lost, *POINTS[6:]])
+    assert "tried once. At the first: No lock." in curve_sentences([curve])[-1]
 
 
 def test_curves_are_told_apart_by_their_level_and_measured_backwards():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from independent.harmonic_continuation import CubicModes, PhaseBranch, Solution
 from scipy.optimize import minimize_scalar
 
 from nmt_core.errors import BenchError
+from nmt_report.curve_figures import reference_sentences
 from nmt_rig.model.floquet import floquet_multipliers
 from nmt_rig.response_reference import reference_responses, response_problem
 from nmt_rig.rig import load_rig
@@ -90,6 +92,18 @@ def test_friction_has_folds_and_no_multipliers():
     assert np.isnan(curve.largest_multiplier).all()
     with pytest.raises(BenchError, match="slider has a memory"):
         floquet_multipliers(response_problem(load_rig("beam"), 3)[0].system, curve.curve.responses[0])
+
+
+def test_a_tip_is_an_inner_largest_response_only(curve):
+    (inner,) = reference_sentences([curve])
+    assert "its tip is" in inner
+    inside = replace(
+        curve, frequency_hz=curve.frequency_hz[:30], response=curve.response[:30], stable=curve.stable[:30]
+    )
+    assert np.argmax(inside.response) == 29  # still rising where the band ends
+    (edge,) = reference_sentences([inside])
+    assert "tip" not in edge
+    assert "its largest response" in edge
 
 
 def test_several_exciters_are_refused():

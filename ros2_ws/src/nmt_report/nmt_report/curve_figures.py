@@ -65,15 +65,17 @@ def _draw(axes: Axes, curve: ResponseCurve, colour: tuple[float, float, float]) 
 
 
 def reference_sentences(responses: Sequence[ReferenceResponse]) -> list[str]:
-    """Folds, tip and stability of computed response curves, one sentence a curve."""
+    """Folds, largest response and stability of computed response curves, one sentence a curve."""
     lines = []
     for item in responses:
         folds = " and ".join(f"{fold[0]:.4f} Hz" for fold in item.folds)
         tip = int(np.argmax(item.response))
+        inner = 0 < tip < item.response.size - 1
+        largest = f"its {'tip' if inner else 'largest response'} is {item.response[tip]:.4g} m"
         lines.append(
-            f"At {item.force:g} N the curve has {f'folds at {folds}' if folds else 'no fold'}; its tip is "
-            f"{item.response[tip]:.4g} m near {item.frequency_hz[tip]:.4f} Hz, and {int(np.sum(~item.stable))} of "
-            f"{item.stable.size} points are not stable."
+            f"At {item.force:g} N the curve has {f'folds at {folds}' if folds else 'no fold'}; {largest} "
+            f"{'near' if inner else 'at the end of the band,'} {item.frequency_hz[tip]:.4f} Hz, and "
+            f"{int(np.sum(~item.stable))} of {item.stable.size} points are not stable."
         )
     return lines
 

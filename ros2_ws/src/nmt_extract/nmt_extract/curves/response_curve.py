@@ -16,16 +16,17 @@ is their distance along the curve, that of (ϑ, ln x, 10 ln Ω), which then stan
   place tells, beyond two standard uncertainties. All else is left open.
 * Floquet exponents, where the drive was perturbed: see :mod:`nmt_extract.modal.floquet_exponents`.
 
-Uncertainties of folds and tip have three parts: that of the values they hang on, a fifth of what changes when every
-second point is left out (the error of a cubic spline falls to a sixteenth when the distance of its points is halved,
-and a third of that is told where the points do not lie evenly), and what the spline adds to the outermost point.
+Uncertainties of folds and tip have three parts: that of the values they hang on, a third of what changes when every
+second point is left out, the even ones or the odd ones (the error of a cubic spline falls to a sixteenth when the
+distance of its points is halved, and by less where they do not lie evenly), and what the spline adds to the outermost
+point. Where every second point shows no such place, it may lie anywhere between the points that bracket it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
 from itertools import groupby
@@ -49,7 +50,7 @@ MISSED_AMPLITUDE = 0.02
 """Of the amplitude of a level, from which on a point is said to have another one."""
 COVERAGE = 2.0
 """Standard uncertainties of a Floquet exponent, or of a fold's place, within which stability is left open."""
-_COARSE_SHARE = 0.2
+_COARSE_SHARE = 1.0 / 3.0
 _SAME_SHARE = 0.1  # of the median distance of neighbours, below which two points off the lag are one
 CURVE_COLUMNS = (
     "curve", "level", "lag_rad", "lag_rad_std", "frequency_hz", "frequency_hz_std", "response_m", "response_m_std",
@@ -111,6 +112,7 @@ class ResponseCurve:
         force, force_std: |F₁|, N.
         points: as measured.
         missing: points whose lag was asked for and never measured, in their order.
+        cut_off: the point within whose window the test ended; None where it ended between points.
     """
 
     level: float
@@ -125,6 +127,7 @@ class ResponseCurve:
     force_std: FloatArray
     points: tuple[ModalPoint, ...]
     missing: tuple[ModalPoint, ...] = ()
+    cut_off: ModalPoint | None = None
 
     @property
     def holds_force(self) -> bool:
@@ -211,36 +214,48 @@ class ResponseCurve:
     ) -> tuple[CurvePlace, ...]:
         """Where values turn between measured points, by the spline through them."""
         every = np.arange(self.lag.size)
-        coarse = np.union1d(every[::2], every[-1:])
-        rough = self._extremes(values, coarse) if coarse.size >= LEAST_POINTS else []
+        halves = [np.union1d(every[start::2], every[[0, -1]]) for start in (0, 1)]
         found = []
         for turn in turns:
             position = self._position(turn, values)
-            nearest = min(rough, key=lambda other: abs(other - position), default=position)
-            one, other = self._at(position, every), self._at(nearest, coarse)
+            apart = max(self._apart(turn, position, values, half) for half in halves)
+            at = self._at(position, every)
             # A shift of the values by their uncertainty moves the extreme by that of the slope over the curvature.
             bend = abs(float(_spline(self.place, values)(position, 2)))
             weights = _weights(self.place, position, 1)
             moved = float(np.sqrt(((weights * values_std) ** 2).sum())) / bend if bend > 0.0 else 0.0
             near = float(np.interp(position, self.place, self._place_std))
-            position_std = math.hypot(moved, _COARSE_SHARE * (nearest - position), near)
-            added = abs(float(_spline(self.place, values)(position)) - float(values[turn.extreme])) / math.sqrt(3.0)
+            position_std = math.hypot(moved, apart, near)
+            height = float(_spline(self.place, values)(position))
+            added = abs(height - float(values[turn.extreme])) / math.sqrt(3.0)
+            coarse = max(abs(float(_spline(self.place[half], values[half])(position)) - height) for half in halves)
+            # What turns here does not change with the place; the other quantity does.
+            other = self.response if place is Place.FOLD else self.frequency_hz
+            moving = float(_spline(self.place, other)(position, 1)) * position_std
+            turning = math.hypot(added, _COARSE_SHARE * coarse)
             stds = [
-                math.hypot(
-                    float(np.interp(position, self.place, std)),
-                    _COARSE_SHARE * (after - before),
-                    added if std is values_std else 0.0,
-                )
-                for std, before, after in zip((self.frequency_hz_std, self.response_std), one, other, strict=True)
+                math.hypot(float(np.interp(position, self.place, std)), turning if std is values_std else moving)
+                for std in (self.frequency_hz_std, self.response_std)
             ]
             lag, lag_std = position, position_std
             if self.turns_back:
                 lag, slope = (float(_spline(self.place, self.lag)(position, order)) for order in (0, 1))
                 lag_std = math.hypot(slope * position_std, float(np.interp(position, self.place, self.lag_std)))
-            values_here = (one[0], stds[0], one[1], stds[1])
+            values_here = (at[0], stds[0], at[1], stds[1])
             between = (float(self.lag[turn.first]), float(self.lag[turn.last]))
             found.append(CurvePlace(place, lag, lag_std, *values_here, position, position_std, *between))
         return tuple(found)
+
+    def _apart(self, turn: Turn, position: float, values: FloatArray, half: IntArray) -> float:
+        """Standard uncertainty of the place of an extreme by the spacing: from that of every second point alone.
+
+        Where those show no extreme between the measured points that bracket it, nothing but these bounds it.
+        """
+        first, last = float(self.place[turn.first]), float(self.place[turn.last])
+        near = [other for other in self._extremes(values, half) if first < other < last] if half.size >= 4 else []
+        if not near:
+            return (last - first) / math.sqrt(12.0)
+        return _COARSE_SHARE * min(abs(other - position) for other in near)
 
     def _position(self, turn: Turn, values: FloatArray) -> float:
         """Where the spline has the outermost value between the measured points of a turn."""
@@ -302,7 +317,10 @@ def response_curves(points: Sequence[ModalPoint]) -> tuple[ResponseCurve, ...]:
         points: of one test. Points without values are left out, and of points at one lag all but the last.
     """
     curves = []
-    for _, each in groupby(points, key=lambda point: point.level):
+    # Nothing was tried after the last point: where its window was not held to its end, the test ended there.
+    last = max(points, key=lambda point: point.level_index, default=None)
+    cut_off = last if last is not None and last.status is PointStatus.REJECTED else None
+    for _, each in groupby((point for point in points if point is not cut_off), key=lambda point: point.level):
         group = list(each)
         good = {point.held_phase: point for point in group if point.status is PointStatus.OK}
         bad = tuple(point for point in group if point.status is not PointStatus.OK and point.held_phase not in good)
@@ -312,6 +330,8 @@ def response_curves(points: Sequence[ModalPoint]) -> tuple[ResponseCurve, ...]:
                 curves.append(_in_order(measured, bad))
             else:
                 curves.append(_curve(sorted(measured, key=lambda point: point.phase_error), bad))
+    if cut_off is not None and curves and curves[-1].level == cut_off.level:
+        curves[-1] = replace(curves[-1], cut_off=cut_off)
     return tuple(curves)
 
 
@@ -368,6 +388,10 @@ def curve_sentences(curves: Sequence[ResponseCurve]) -> list[str]:
     """Folds and tip of each curve, one sentence a curve, and what was not reached."""
     sentences = [_sentence(curve) for curve in curves if curve.holds_force and curve.lag.size >= LEAST_POINTS]
     sentences += [_words_of_missing(curve) for curve in curves if curve.missing]
+    for curve in curves:
+        if curve.cut_off is not None:
+            at, why = math.degrees(RESONANT_LAG + curve.cut_off.held_phase), curve.cut_off.reason.rstrip(".")
+            sentences.append(f"At {curve.level:g} {curve.level_unit} the test ended at the point at {at:.1f}°: {why}.")
     return sentences + list(filter(None, map(_words_of_missed, curves)))
 
 
@@ -391,9 +415,10 @@ def _words_of_missing(curve: ResponseCurve) -> str:
     lags = sorted({math.degrees(RESONANT_LAG + point.held_phase) for point in curve.missing})
     where = f"{lags[0]:.1f}°" if len(lags) == 1 else f"{len(lags)} lags from {lags[0]:.1f} to {lags[-1]:.1f}°"
     first, more = curve.missing[0].reason.rstrip("."), len(curve.missing)
+    tries = f"{more} times: {_words_of_tries(curve)}" if more > 1 else "once"
     return (
-        f"At {curve.level:g} {curve.level_unit} the curve has no point at {where}, tried {more} "
-        f"{'time' if more == 1 else 'times'}: {_words_of_tries(curve)}. At the first: {first}."
+        f"At {curve.level:g} {curve.level_unit} the curve has no point at {where}, tried {tries}. "
+        f"At the first: {first}."
         + (" What is not held at a force may be held at an amplitude, by --control response." * curve.holds_force)
     )
 

@@ -166,9 +166,9 @@ def test_a_sparse_matrix_that_points_outside_itself_is_refused(tmp_path: Path, k
 
 def test_a_process_with_limits_of_its_own_reads(tmp_path: Path) -> None:
     savemat(tmp_path / "run.mat", CONTENT)
-    words = ["bash", "-c", 'ulimit -v 4000000 -t 60; exec "$0" "$1" 1048576 120', sys.executable, mat_child.__file__]
+    words = ["bash", "-c", 'ulimit -v 4000000 -t 60; exec "$0" -m "$1" 1048576 120', sys.executable, mat_child.__name__]
     with (tmp_path / "run.mat").open("rb") as file:
-        read = subprocess.run(words, stdin=file, capture_output=True)
+        read = subprocess.run(words, stdin=file, capture_output=True, env={"PYTHONPATH": os.pathsep.join(sys.path)})
     assert read.returncode == 0, read.stderr
     assert read.stdout.startswith(b"PK")
 

@@ -79,9 +79,19 @@ def test_what_is_no_robot_is_refused(tmp_path: Path, text: str, words: str) -> N
         RobotModel(path)
 
 
-def test_closed_loops_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("constraint", "words"),
+    [
+        ('<connect body1="arm" anchor="0 0 0"/>', "closes a loop"),
+        ('<weld body1="arm"/>', "closes a loop"),
+        ('<joint joint1="elbow"/>', "couples joint elbow to a constant"),
+        ('<joint joint1="knee" joint2="elbow"/>', "names joint 'knee', which is not in the file"),
+    ],
+)
+def test_loops_are_refused_without_the_advice_to_open_them(tmp_path: Path, constraint: str, words: str) -> None:
     text = robot_file(tmp_path).read_text()
     path = tmp_path / "loop.xml"
-    path.write_text(text.replace("</mujoco>", '<equality><joint joint1="elbow"/></equality></mujoco>'))
-    with pytest.raises(BenchError, match="closed loops"):
-        RobotModel(path)
+    path.write_text(text.replace("</mujoco>", f"<equality>{constraint}</equality></mujoco>"))
+    with pytest.raises(BenchError, match=words) as refusal:
+        RobotModel(path).chosen(("elbow",))
+    assert "take the constraint" not in str(refusal.value)

@@ -90,6 +90,8 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
 
     console.print()
     console.print(Text(f"Verdict: {diagnosis.verdict}", style="bold"), soft_wrap=True)
+    for finding in diagnosis.of_file:
+        console.print(Text(f"Model: {finding.sentence}"), soft_wrap=True)
     for finding in diagnosis.findings:
         style = "yellow" if finding.fault else ""
         console.print(Text(f"Log: {finding.sentence}", style=style), soft_wrap=True)

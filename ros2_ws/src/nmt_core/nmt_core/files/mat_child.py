@@ -1,18 +1,19 @@
 """Run by :mod:`nmt_core.files.mat_file` in a process of its own: the numbers of a MATLAB file, version 5 to 7, as NPZ.
 
-``python mat_child.py LARGEST SECONDS < data.mat > numbers.npz``. scipy takes memory for whatever a file claims, so
-memory and time of this process have limits. The first array of the result names the others; what is wrong with a file
-is the last line of the traceback.
+``python -m nmt_core.files.mat_child LARGEST SECONDS < data.mat > numbers.npz``. scipy takes memory for whatever a file
+claims, so memory and time of this process have limits (:mod:`nmt_core.files.limited_child`). The first array of the
+result names the others.
 """
 
 from __future__ import annotations
 
-import resource
 import sys
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+
+from nmt_core.files.limited_child import limit
 
 DEEPEST = 12
 _MOST_ENTRIES = 20_000
@@ -87,15 +88,6 @@ def _members(value: Any, path: str, depth: int, budget: Budget) -> Iterator[tupl
     elif value.dtype.kind in "biufc":
         budget.take(value.size * (2 if value.dtype.kind == "c" else 1))
         yield path, value
-
-
-def limit(largest: int, seconds: int) -> None:
-    """Let this process take no more than its arrays twice, and no more time."""
-    with open("/proc/self/statm") as file:
-        taken = int(file.read().split()[0]) * resource.getpagesize()
-    for kind, most in ((resource.RLIMIT_AS, taken + 2 * largest + 2**28), (resource.RLIMIT_CPU, seconds)):
-        _, hard = resource.getrlimit(kind)
-        resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard),) * 2)
 
 
 if __name__ == "__main__":

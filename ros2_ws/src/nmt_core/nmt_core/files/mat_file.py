@@ -8,8 +8,6 @@ sets. Members of structs are named by their path, ``test.force``.
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import IO, Any
@@ -19,6 +17,7 @@ from numpy.typing import NDArray
 
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_ARRAYS, open_regular, read_arrays
+from nmt_core.files.limited_child import ChildError, run_limited
 from nmt_core.files.mat_child import DEEPEST, Budget, numbered
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
@@ -65,28 +64,25 @@ def read_mat(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> dict[str, 
 
 
 def _read_mat5(path: Path, file: IO[bytes], what: str, largest: int) -> dict[str, Array]:
-    words = [sys.executable, str(Path(__file__).with_name("mat_child.py")), str(largest), str(_LONGEST)]
+    words = (str(largest), str(_LONGEST))
     with tempfile.NamedTemporaryFile(suffix=".npz") as target:
         try:
-            child = subprocess.run(words, stdin=file, stdout=target, stderr=subprocess.PIPE, timeout=_LONGEST)
-        except subprocess.TimeoutExpired:
-            raise _refused(path, what, largest, "", f"reading it takes more than {_LONGEST} s") from None
-        if child.returncode:
-            kind, _, why = (child.stderr.decode("utf-8", "replace").strip().splitlines() or [""])[-1].partition(": ")
-            raise _refused(path, what, largest, kind, why or "its reader ended")
+            run_limited("nmt_core.files.mat_child", words, _LONGEST, file, target)
+        except ChildError as failure:
+            raise _refused(path, what, largest, failure) from None
         names, *arrays = read_arrays(Path(target.name), what, 4 * largest).values()
     return dict(zip(names.tolist(), arrays, strict=True))
 
 
-def _refused(path: Path, what: str, largest: int, kind: str, why: str) -> BenchError:
-    """What to say of a file whose reader raised an error of this kind."""
-    if kind.endswith("MemoryError"):
+def _refused(path: Path, what: str, largest: int, failure: ChildError) -> BenchError:
+    """What to say of a file whose reader failed."""
+    if failure.is_memory:
         return BenchError(
             f"The arrays of the {what} {path} need more than the {largest / 2**20:g} MiB that are read; split the file."
         )
-    if kind == "RecursionError":
+    if failure.kind == "RecursionError":
         return BenchError(f"The {what} {path} is nested too deeply or has too many entries.")
-    return BenchError(f"The {what} {path.name} is cut off or damaged ({why.rstrip('.')}); save it again.")
+    return BenchError(f"The {what} {path.name} is cut off or damaged ({failure.why.rstrip('.')}); save it again.")
 
 
 _STATED = ("units", "unit", "scale_factor", "add_offset", "_FillValue", "missing_value", "point")
@@ -221,5 +217,5 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
             visit(file, "", 0)
     except (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError) as error:
         first = (str(error).splitlines() or [type(error).__name__])[0]
-        raise _refused(path, what, largest, type(error).__name__, first) from error
+        raise _refused(path, what, largest, ChildError(type(error).__name__, first)) from error
     return found

@@ -1,12 +1,11 @@
 """A robot from MJCF or URDF by MuJoCo: its joints and the torque that its rigid bodies need.
 
-Meshes are not needed: inertias come from the file. Damping, friction and armature of the file are kept aside and are
-not in the torque, so that they are not counted twice.
+Meshes are not needed where inertias come from the file. Damping, friction and armature of the file are kept aside and
+are not in the torque, so that they are not counted twice.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.files.hardened import read_text
 from nmt_rig.rig import ROBOT_ENDINGS
-
-Array = np.ndarray[Any, Any]
+from nmt_robots.model.compilation import RobotFile, compiled, read_robot
+from nmt_robots.model.coupling import Array, Follower, followers
 
 
 def is_robot_file(name: str | Path) -> bool:
@@ -59,25 +57,35 @@ class RobotModel:
         path: of an MJCF or URDF file.
 
     Raises:
-        BenchError: MuJoCo is missing, the file is no robot, or it has closed loops or ball joints.
+        BenchError: MuJoCo is missing, the file is no robot, it has closed loops, or a mesh that gives mass is missing.
     """
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        mujoco = mujoco_library()
-        self.text = read_text(self.path, "robot file")
-        self._model = compiled(mujoco, self.path, self.text)
-        self._mujoco = mujoco
-        self.floating = bool(self._model.njnt and int(self._model.jnt_type[0]) == int(mujoco.mjtJoint.mjJNT_FREE))
-        self.joints = tuple(self._joint(index) for index in range(int(self.floating), self._model.njnt))
-        self._first_position, self._first_speed = (7, 6) if self.floating else (0, 0)
-        self._refuse_what_is_no_tree_of_drives()
-        self._model.dof_damping[:] = 0.0
-        self._model.dof_frictionloss[:] = 0.0
-        self._model.dof_armature[:] = 0.0
+        mujoco = self._mujoco = mujoco_library()
+        self.file: RobotFile = read_robot(self.path)
+        model, self.facts = compiled(mujoco, self.file)
+        self._model = model
+        kinds = [mujoco.mjtJoint(int(kind)) for kind in model.jnt_type]
+        free = [number for number, kind in enumerate(kinds) if kind == mujoco.mjtJoint.mjJNT_FREE]
+        self.floating = bool(free)
+        self._base = int(model.jnt_dofadr[free[0]]) if free else 0
+        single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+        numbers = [number for number, kind in enumerate(kinds) if kind in single]
+        self._numbers = {_joint_name(mujoco, model, number): number for number in numbers}
+        self.joints = tuple(self._joint(number) for number in numbers)
+        self._others = {
+            **{_joint_name(mujoco, model, n): "ball" for n, kind in enumerate(kinds) if n not in {*numbers, *free}},
+            **self.file.others,
+        }
+        self._refuse_without_drives(len(free))
+        for values in (model.dof_damping, model.dof_dampingpoly, model.dof_frictionloss, model.dof_armature):
+            values[:] = 0.0
+        for values in (model.tendon_damping, model.tendon_dampingpoly, model.tendon_frictionloss):
+            values[:] = 0.0
         flags = mujoco.mjtDisableBit
-        self._model.opt.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT | flags.mjDSBL_FRICTIONLOSS)
-        self._data = mujoco.MjData(self._model)
+        model.opt.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT | flags.mjDSBL_FRICTIONLOSS)
+        self._data = mujoco.MjData(model)
 
     @property
     def name(self) -> str:
@@ -85,32 +93,62 @@ class RobotModel:
         return self.path.stem
 
     @property
+    def text(self) -> str:
+        """Of the file."""
+        return self.file.text
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Of the joints, in the order of the model."""
-        return tuple(joint.name for joint in self.joints)
+        return tuple(self._numbers)
 
     def chosen(self, names: tuple[str, ...]) -> tuple[Joint, ...]:
         """Joints by name.
 
         Raises:
-            BenchError: the model has no such joint.
+            BenchError: the model has no such joint, or couples it by more than a ratio.
         """
         by_name = {joint.name: joint for joint in self.joints}
+        for name in names:
+            if name in self._others:
+                raise BenchError(
+                    f"{self.path}: joint {name} is no hinge or slide ({self._others[name]}); only those can be "
+                    "diagnosed."
+                )
         unknown = [name for name in names if name not in by_name]
         if unknown:
             raise BenchError(
                 f"{self.path} has no joint {', '.join(unknown)}; its joints are {', '.join(self.names)}. Name the "
                 "columns of the log in the sidecar (key joints)."
             )
+        for item in self.file.couplings:
+            if not item.is_ratio and {item.joint, item.master} & set(names):
+                by = f"to {item.master} by a polynomial" if item.master else "to a constant"
+                raise BenchError(
+                    f"{self.path} couples joint {item.joint} {by}; only couplings by a ratio and an offset are read, "
+                    "so the torque of these joints is not known: leave them out of the log's sidecar if they stand."
+                )
         return tuple(by_name[name] for name in names)
+
+    def followers(self, names: Sequence[str]) -> list[Follower]:
+        """Joints that move with some joints."""
+        ratios = [item for item in self.file.couplings if item.is_ratio]
+        references = {name: float(self._model.qpos0[self._model.jnt_qposadr[n]]) for name, n in self._numbers.items()}
+        return followers(ratios, names, references)
+
+    def bodies_of(self, joint: str) -> Array:
+        """Numbers of the bodies that are one with a joint's link."""
+        body = self._model.jnt_bodyid[self._numbers[joint]]
+        return np.flatnonzero(self._model.body_weldid == self._model.body_weldid[body])
 
     def torque(
         self, names: tuple[str, ...], q: Array, v: Array, a: Array, yielding: bool = False, heavier: str = ""
     ) -> Array:
         """Torque of the rigid bodies and springs, without damping, friction and armature of the drives.
 
-        Joints of the model that are not named stand still where its own pose has them. So does a base that floats,
-        unless it yields: then it is carried against gravity alone, and what the limbs do pushes it away.
+        Joints of the model that are not named stand still where its own pose has them, but for those that follow a
+        named one: their torque is its. So does a base that floats, unless it yields: then it is carried against gravity
+        alone, and what the limbs do pushes it away.
 
         Args:
             names: J joints of the columns.
@@ -122,47 +160,71 @@ class RobotModel:
             rows × J, N·m.
         """
         mujoco, model, data = self._mujoco, self._model, self._data
-        columns = np.array([self.names.index(name) for name in names])
         mujoco.mj_resetData(model, data)
-        body = int(model.jnt_bodyid[self.names.index(heavier) + int(self.floating)]) if heavier else 0
-        model.body_mass[body] *= 2.0
+        bodies = self.bodies_of(heavier) if heavier else np.empty(0, dtype=int)
         result = np.empty(q.shape)
-        positions, speeds = columns + self._first_position, columns + self._first_speed
+        positions, speeds, ratios, offsets = self._places(names)
         angles, rates, changes, found = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
+        q, v, a = q @ ratios + offsets, v @ ratios, a @ ratios
+        model.body_mass[bodies] *= 2.0
+        shares = self._shares(names)
         for row in range(len(q)):
             angles[positions] = q[row]
             rates[speeds] = v[row]
             changes[speeds] = a[row]
             mujoco.mj_inverse(model, data)
-            result[row] = found[speeds]
+            force = found[speeds]
             if yielding and self.floating:
-                result[row] += self._given_way(speeds)
-        model.body_mass[body] *= 0.5
+                force = force + self._given_way(speeds)
+            result[row] = shares @ force
+        model.body_mass[bodies] *= 0.5
         return result
+
+    def with_followers(self, names: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
+        """The named joints and those F that follow them without being named; ratios, J × (J + F), and offsets."""
+        moved = [item for item in self.followers(names) if item.joint not in names]
+        everyone = (*names, *(item.joint for item in moved))
+        ratios, offsets = np.eye(len(names), len(everyone)), np.zeros(len(everyone))
+        for column, item in enumerate(moved, len(names)):
+            ratios[list(names).index(item.driver), column] = item.ratio
+            offsets[column] = item.offset
+        return everyone, ratios, offsets
+
+    def _places(self, names: Sequence[str]) -> tuple[Array, Array, Array, Array]:
+        """Addresses of position and speed of the named joints and their followers, ratios and offsets."""
+        everyone, ratios, offsets = self.with_followers(names)
+        numbers = [self._numbers[name] for name in everyone]
+        return self._model.jnt_qposadr[numbers], self._model.jnt_dofadr[numbers], ratios, offsets
+
+    def _shares(self, names: Sequence[str]) -> Array:
+        """J × (J + F): by how much the torque of each of these joints is that of a named one."""
+        shares, place = self.with_followers(names)[1], list(names).index
+        for item in self.followers(names):
+            if item.joint in names:
+                shares[:, place(item.joint)] = 0.0
+                shares[place(item.driver), place(item.joint)] = item.ratio
+        return shares
 
     def _given_way(self, speeds: Array) -> Array:
         """Change of the joints' torque as the base moves freely under what the limbs do, beside its weight."""
         mujoco, model, data = self._mujoco, self._model, self._data
+        base = slice(self._base, self._base + 6)
         mass = np.zeros((6, model.nv))
-        for place, unit in enumerate(np.eye(6, model.nv)):
+        for place, unit in enumerate(np.eye(model.nv)[base]):
             mujoco.mj_mulM(model, data, mass[place], unit)
-        pushed = np.array(data.qfrc_inverse[:6])
+        pushed = np.array(data.qfrc_inverse[base])
         kept = np.array(data.qvel), np.array(data.qacc)
         data.qvel[:], data.qacc[:] = 0.0, 0.0
         mujoco.mj_inverse(model, data)
-        pushed -= data.qfrc_inverse[:6]
+        pushed -= data.qfrc_inverse[base]
         data.qvel[:], data.qacc[:] = kept
-        return np.asarray(-mass[:, speeds].T @ np.linalg.solve(mass[:, :6], pushed))
+        return np.asarray(-mass[:, speeds].T @ np.linalg.solve(mass[:, base], pushed))
 
     def positions(self, names: tuple[str, ...], pose: Array) -> tuple[Array, Array]:
         """Anchors of all named joints (J × 3, m) and of their parents' anchors, in one pose (J)."""
         mujoco, model, data = self._mujoco, self._model, self._data
-        columns = np.array([self.names.index(name) for name in names])
-        mujoco.mj_resetData(model, data)
-        data.qpos[columns + self._first_position] = pose
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        numbers = columns + int(self.floating)
+        self._put(names, pose)
+        numbers = [self._numbers[name] for name in names]
         anchors = np.array(data.xanchor[numbers])
         before = []
         for number in numbers:
@@ -172,22 +234,27 @@ class RobotModel:
             before.append(data.xanchor[held] if moving else data.xpos[body])
         return anchors, np.array(before)
 
+    def _put(self, names: Sequence[str], pose: Array) -> None:
+        """Move the bodies to a pose of the named joints (J)."""
+        mujoco, model, data = self._mujoco, self._model, self._data
+        places, _, ratios, offsets = self._places(names)
+        mujoco.mj_resetData(model, data)
+        data.qpos[places] = pose @ ratios + offsets
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+
     def touching(self, names: tuple[str, ...], q: Array) -> tuple[float, tuple[str, str]]:
         """Share of poses (rows × J) in which the model's shapes touch, and the two bodies that do so most often.
 
         Meshes are not among the shapes. Joints that are not named and a base that floats are where the file has them.
         """
         mujoco, model, data = self._mujoco, self._model, self._data
-        columns = np.array([self.names.index(name) for name in names]) + self._first_position
         flag = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.disableflags &= ~flag
-        mujoco.mj_resetData(model, data)
         pairs: list[tuple[str, str]] = []
         poses = 0
         for row in q:
-            data.qpos[columns] = row
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
+            self._put(names, row)
             mujoco.mj_collision(model, data)
             poses += int(data.ncon > 0)
             for contact in range(data.ncon):
@@ -197,55 +264,92 @@ class RobotModel:
         model.opt.disableflags |= flag
         return poses / max(len(q), 1), max(set(pairs), key=pairs.count) if pairs else ("", "")
 
+    def tilt(self) -> tuple[str, float]:
+        """The last body before the first branch or joint, and the angle of its z axis to gravity, rad; NaN without."""
+        mujoco, model, data = self._mujoco, self._model, self._data
+        mujoco.mj_resetData(model, data)
+        mujoco.mj_kinematics(model, data)
+        body = model.jnt_bodyid[next(iter(self._numbers.values()))]
+        while body and (body == model.jnt_bodyid[next(iter(self._numbers.values()))] or model.body_jntnum[body]):
+            if model.body_jntnum[body] and int(model.jnt_type[model.body_jntadr[body]]) == int(
+                mujoco.mjtJoint.mjJNT_FREE
+            ):
+                break
+            body = model.body_parentid[body]
+        size = float(np.linalg.norm(model.opt.gravity))
+        up = float(-data.xmat[body][[2, 5, 8]] @ model.opt.gravity) / size if size > 0.0 else np.nan
+        return str(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body) or "base"), float(
+            np.arccos(np.clip(up, -1, 1))
+        )
+
+    @property
+    def gravity(self) -> float:
+        """Of the file, m/s²."""
+        off = int(self._model.opt.disableflags) & int(self._mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+        return 0.0 if off else float(np.linalg.norm(self._model.opt.gravity))
+
     def _joint(self, number: int) -> Joint:
         """What the file says of a joint."""
         mujoco, model = self._mujoco, self._model
-        kind = mujoco.mjtJoint(int(model.jnt_type[number]))
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, number) or f"joint{number}"
-        if kind not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            raise BenchError(f"{self.path}: joint {name} is no hinge or slide; only those can be diagnosed.")
+        name = _joint_name(mujoco, model, number)
         place = model.jnt_dofadr[number]
-        limited = bool(model.jnt_limited[number])
-        lower, upper = (float(x) for x in model.jnt_range[number]) if limited else (-np.inf, np.inf)
-        effort, gear = np.inf, 1.0
+        lower, upper = (float(x) for x in model.jnt_range[number]) if model.jnt_limited[number] else (-np.inf, np.inf)
+        effort, gear = self._drives(number)
         if model.jnt_actfrclimited[number]:
-            effort = float(np.max(np.abs(model.jnt_actfrcrange[number])))
-        for drive in range(model.nu):
-            transmits = int(model.actuator_trntype[drive]) == int(mujoco.mjtTrn.mjTRN_JOINT)
-            if not transmits or model.actuator_trnid[drive, 0] != number:
-                continue
-            gear = float(model.actuator_gear[drive, 0])
-            plain_motor = int(model.actuator_biastype[drive]) == int(mujoco.mjtBias.mjBIAS_NONE)
-            if model.actuator_ctrllimited[drive] and plain_motor:
-                scale = abs(gear * float(model.actuator_gainprm[drive, 0]))
-                effort = min(effort, scale * float(np.max(np.abs(model.actuator_ctrlrange[drive]))))
-            if model.actuator_forcelimited[drive]:
-                effort = min(effort, abs(gear) * float(np.max(np.abs(model.actuator_forcerange[drive]))))
+            effort = min(effort, float(np.max(np.abs(model.jnt_actfrcrange[number]))))
         return Joint(
             name,
-            bool(kind == mujoco.mjtJoint.mjJNT_HINGE),
+            int(model.jnt_type[number]) == int(mujoco.mjtJoint.mjJNT_HINGE),
             lower,
             upper,
-            effort,
+            np.inf if name in self.file.unlimited else effort,
             float(model.dof_armature[place]),
             float(np.ravel(model.dof_damping[place])[0]),
             float(model.dof_frictionloss[place]),
             gear,
         )
 
-    def _refuse_what_is_no_tree_of_drives(self) -> None:
-        """Raise where inverse dynamics of a tree would be wrong."""
-        if self._model.neq:
-            raise BenchError(
-                f"{self.path} has closed loops or coupled joints (equality constraints), whose torque the angles alone "
-                "do not tell; take the constraints out of the file or log the joints of an open chain."
-            )
-        if not self.joints:
-            alone = "a free body alone" if self.floating else "no joint that moves"
-            raise BenchError(
-                f"{self.path} has {alone}; a robot needs hinges or slides whose positions are in the log. A body on "
-                "springs is a rig."
-            )
+    def _drives(self, number: int) -> tuple[float, float]:
+        """Largest torque of all drives of a joint together, infinite without a limit, and the gear of the last."""
+        mujoco, model = self._mujoco, self._model
+        limits, gear = [], 1.0
+        on_joints = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        for drive in range(model.nu):
+            if int(model.actuator_trntype[drive]) not in on_joints or model.actuator_trnid[drive, 0] != number:
+                continue
+            gear = float(model.actuator_gear[drive, 0])
+            limit = np.inf
+            plain_motor = int(model.actuator_biastype[drive]) == int(mujoco.mjtBias.mjBIAS_NONE)
+            if model.actuator_ctrllimited[drive] and plain_motor:
+                limit = abs(float(model.actuator_gainprm[drive, 0])) * float(
+                    np.max(np.abs(model.actuator_ctrlrange[drive]))
+                )
+            if model.actuator_forcelimited[drive]:
+                limit = min(limit, float(np.max(np.abs(model.actuator_forcerange[drive]))))
+            limits.append(abs(gear) * limit)
+        return (float(sum(limits)) if limits else np.inf), gear
+
+    def _refuse_without_drives(self, bases: int) -> None:
+        """Raise where no joint can be diagnosed.
+
+        Raises:
+            BenchError: there is none, or several robots float.
+        """
+        if bases > 1:
+            raise BenchError(f"{self.path} has {bases} robots whose bases float; keep the one of the log.")
+        if self.joints:
+            return
+        for name, kind in self._others.items():
+            raise BenchError(f"{self.path}: joint {name} is no hinge or slide ({kind}); only those can be diagnosed.")
+        alone = "a free body alone" if self.floating else "no joint that moves"
+        raise BenchError(
+            f"{self.path} has {alone}; a robot needs hinges or slides whose positions are in the log. A body on "
+            "springs is a rig."
+        )
+
+
+def _joint_name(mujoco: Any, model: Any, number: int) -> str:
+    return str(mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, number) or f"joint{number}")
 
 
 def mujoco_library() -> Any:
@@ -258,46 +362,6 @@ def mujoco_library() -> Any:
         import mujoco
     except ImportError:
         raise BenchError("Robots need the package mujoco, which is not installed; type: pip install mujoco.") from None
+    # It writes warnings into MUJOCO_LOG.TXT of the folder where the command runs.
+    mujoco.set_mju_user_warning(lambda _: None)
     return mujoco
-
-
-def compiled(mujoco: Any, path: Path, text: str, joints: Sequence[str] | None = None) -> Any:
-    """The compiled model without its meshes.
-
-    Args:
-        mujoco: the library.
-        path: of the file, for sentences.
-        text: MJCF or URDF.
-        joints: that move, without drives and sensors; all others stand still where the file has them. None = all.
-
-    Raises:
-        BenchError: MuJoCo refuses it.
-    """
-    if not re.search(r"<(mujoco|robot)\b", text):
-        raise BenchError(f"{path} is neither MJCF nor URDF: it has no element <mujoco> or <robot>.")
-    if re.search(r"<include\b", text):
-        raise BenchError(f"{path} includes other files; save it as one file first (mujoco.mj_saveLastXML).")
-    try:
-        spec = mujoco.MjSpec.from_string(text)
-        for geometry in list(spec.geoms):
-            if geometry.meshname or geometry.type == mujoco.mjtGeom.mjGEOM_MESH:
-                spec.delete(geometry)
-        for kind in ("meshes", "skins", "textures", "hfields"):
-            for item in list(getattr(spec, kind, ())):
-                spec.delete(item)
-        if joints is not None:
-            _keep_only(spec, joints)
-        return spec.compile()
-    except (ValueError, RuntimeError) as error:
-        lines = str(error).strip().splitlines()
-        raise BenchError(f"{path} cannot be read as a robot: {lines[0] if lines else error}.") from error
-
-
-def _keep_only(spec: Any, joints: Sequence[str]) -> None:
-    """Leave bodies and the named joints."""
-    for kind in ("keys", "sensors", "actuators", "tendons"):
-        for item in list(getattr(spec, kind, ())):
-            spec.delete(item)
-    for number, joint in enumerate(list(spec.joints)):
-        if (joint.name or f"joint{number}") not in joints:
-            spec.delete(joint)

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from nmt_robots.model.robot_model import Array, RobotModel, compiled, mujoco_library
+from nmt_robots.model.compilation import compiled
+from nmt_robots.model.coupling import Array
+from nmt_robots.model.robot_model import RobotModel, mujoco_library
 
 
 class RobotSimulation:
-    """The named joints of a robot in motion; all others and a base that floats stand still.
+    """The named joints of a robot and their followers in motion; all others and a base that floats stand still.
 
     Contacts, limits and drives of the file are left out. Dry friction is MuJoCo's constraint, as stiff as the
     step allows, so that a joint sticks.
@@ -26,17 +28,25 @@ class RobotSimulation:
         self, robot: RobotModel, names: Sequence[str], step_s: float, heavier: dict[str, float] | None = None
     ) -> None:
         mujoco = self._mujoco = mujoco_library()
-        model = self._model = compiled(mujoco, robot.path, robot.text, names)
+        everyone, self._ratios, self._offsets = robot.with_followers(names)
+        moved = [item for item in robot.followers(names) if item.joint not in names]
+        model = self._model = compiled(mujoco, robot.file, names, moved)[0]
         model.opt.timestep = step_s
         model.opt.integrator = int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
         flags = mujoco.mjtDisableBit
         model.opt.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT | flags.mjDSBL_AUTORESET)
         model.opt.disableflags &= ~int(flags.mjDSBL_FRICTIONLOSS)
         model.dof_solref[:] = (2.0 * step_s, 1.0)
-        numbers = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in names]
-        self._places, self._dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
+        model.eq_solref[:] = (2.0 * step_s, 1.0)
+        model.dof_dampingpoly[:] = 0.0
+        numbers = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in everyone]
+        self._all_places, self._all_dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
+        self._places, self._dofs = self._all_places[: len(names)], self._all_dofs[: len(names)]
+        followers = self._all_dofs[len(names) :]
+        for values in (model.dof_damping, model.dof_armature, model.dof_frictionloss):
+            values[followers] = 0.0
         for name, factor in (heavier or {}).items():
-            model.body_mass[model.jnt_bodyid[numbers[list(names).index(name)]]] *= factor
+            model.body_mass[robot.bodies_of(name)] *= factor
         self._data, self._still = mujoco.MjData(model), mujoco.MjData(model)
 
     @property
@@ -61,8 +71,8 @@ class RobotSimulation:
 
     def reset(self, position: Array, speed: Array) -> None:
         """Start anew from angles (rad) and speeds (rad/s)."""
-        self._data.qpos[self._places] = position
-        self._data.qvel[self._dofs] = speed
+        self._data.qpos[self._all_places] = position @ self._ratios + self._offsets
+        self._data.qvel[self._all_dofs] = speed @ self._ratios
         self._data.qacc_warmstart[:] = 0.0
         self._mujoco.mj_forward(self._model, self._data)
 
@@ -74,7 +84,8 @@ class RobotSimulation:
         mujoco.mj_fwdPosition(model, still)
         mujoco.mj_rne(model, still, 0, gravity)
         mujoco.mj_rne(model, self._data, 1, moving)
-        return gravity[self._dofs], (moving - gravity)[self._dofs]
+        dofs = self._all_dofs
+        return self._ratios @ gravity[dofs], self._ratios @ (moving - gravity)[dofs]
 
     def advance(self, torque: Array, dry: Array) -> None:
         """One step under torques (J, N·m) and limits of dry friction (J, N·m)."""

@@ -38,6 +38,7 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
         answers=[("How the log is read", diagnosis.reading.text())],
         cards=_cards(diagnosis),
         sections=[
+            *([("file", "The robot's file", _file(diagnosis))] if diagnosis.of_file else []),
             ("log", "The log", _log(diagnosis)),
             ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
             ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
@@ -60,6 +61,11 @@ def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
         ("Left by the plain fit", f"{significant(values['as_logged'], 3)} N·m", "log as it is, held-out seconds"),
         ("Left now", f"{significant(values['left'], 3)} N·m", "held-out seconds"),
     ]
+
+
+def _file(diagnosis: RobotDiagnosis) -> Markup:
+    rows = [(finding.sentence, ", ".join(finding.joints)) for finding in diagnosis.of_file]
+    return html_table([("what the file says", ""), ("joints", "")], rows)
 
 
 def _log(diagnosis: RobotDiagnosis) -> Markup:

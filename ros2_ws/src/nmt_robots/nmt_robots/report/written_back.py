@@ -1,14 +1,20 @@
-"""A robot's file with the friction, damping and armature that were found, each with its ± in a comment."""
+"""A robot's file with the friction, damping and armature that were found, each with its ± in a comment.
+
+The file is changed at the places that its parsed tree names, so that comments, other elements with the same name and
+quotes of either kind stay as they are.
+"""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 
+from nmt_robots.model.robot_xml import Element, joints_of_bodies
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 _MJCF = {"coulomb": "frictionloss", "viscous": "damping", "armature": "armature"}
 _URDF = {"coulomb": "friction", "viscous": "damping"}
+_ATTRIBUTE = re.compile(rb"""([^\s=<>/'"]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
 @dataclass(frozen=True)
@@ -33,12 +39,13 @@ class Change:
 
 
 def changes(diagnosis: RobotDiagnosis) -> list[Change]:
-    """All terms that differ from the model."""
-    words = _URDF if is_urdf(diagnosis.model.text) else _MJCF
+    """All terms that differ from the model; an attribute only where the file has the joint to take it."""
+    words = _URDF if diagnosis.model.file.is_urdf else _MJCF
+    places = _places(diagnosis)
     return [
         Change(
             joint.joint.name, term.key, term.value, term.std, term.unit, term.in_model, term.equal,
-            words.get(term.key, ""),
+            words.get(term.key, "") if joint.joint.name in places else "",
         )
         for joint in diagnosis.joints
         for term in joint.terms
@@ -46,19 +53,63 @@ def changes(diagnosis: RobotDiagnosis) -> list[Change]:
     ]  # fmt: skip
 
 
-def is_urdf(text: str) -> bool:
-    """Whether a robot's file is URDF."""
-    return re.search(r"<robot\b", text) is not None
+def _places(diagnosis: RobotDiagnosis) -> dict[str, Element]:
+    """The element of each joint."""
+    return {joint.attributes["name"]: joint for joint in joints_of_bodies(diagnosis.model.file.root)}
 
 
 def robot_text(diagnosis: RobotDiagnosis, changed: list[Change]) -> str:
     """The robot's file with what it has words for; all else stays as it was."""
-    text = diagnosis.model.text
-    for name in dict.fromkeys(change.joint for change in changed):
+    content = diagnosis.model.file.text.encode()
+    places = _places(diagnosis)
+    edits: list[tuple[int, int, bytes]] = []
+    for name in dict.fromkeys(change.joint for change in changed if change.attribute):
         items = [change for change in changed if change.joint == name and change.attribute]
-        if items:
-            text = _in_urdf(text, name, items) if is_urdf(text) else _in_mjcf(text, name, items)
-    return text
+        edits.append(_edit(content, places[name], items, diagnosis.model.file.is_urdf))
+    for start, end, text in sorted(edits, reverse=True):
+        content = content[:start] + text + content[end:]
+    return content.decode()
+
+
+def _edit(content: bytes, joint: Element, items: list[Change], urdf: bool) -> tuple[int, int, bytes]:
+    """First byte, byte behind the last, and what stands there instead."""
+    dynamics = joint.find("dynamics") if urdf else joint
+    comment = _comment(items)
+    if dynamics is None:
+        words = " ".join(_assignment(item) for item in items)
+        return joint.end, joint.end, f"<dynamics {words}/> {comment}".encode()
+    end = _end_of_tag(content, dynamics.start)
+    tag = content[dynamics.start : end]
+    for item in items:
+        tag = _with_attribute(tag, item)
+    return dynamics.start, end, tag + f" {comment}".encode()
+
+
+def _end_of_tag(content: bytes, start: int) -> int:
+    """The byte behind a tag; what is in quotes does not end it."""
+    quote = 0
+    for place in range(start, len(content)):
+        byte = content[place]
+        if quote:
+            quote = 0 if byte == quote else quote
+        elif byte in b"\"'":
+            quote = byte
+        elif byte == ord(">"):
+            return place + 1
+    return len(content)
+
+
+def _with_attribute(tag: bytes, item: Change) -> bytes:
+    """A tag with an attribute set."""
+    for match in _ATTRIBUTE.finditer(tag):
+        if match[1] == item.attribute.encode():
+            return tag[: match.start()] + _assignment(item).encode() + tag[match.end() :]
+    head = tag[:-2] if tag.endswith(b"/>") else tag[:-1]
+    return head.rstrip() + f" {_assignment(item)}".encode() + tag[len(head) :]
+
+
+def _assignment(item: Change) -> str:
+    return f'{item.attribute}="{item.value:.5g}"'
 
 
 def _comment(items: list[Change]) -> str:
@@ -67,43 +118,4 @@ def _comment(items: list[Change]) -> str:
         f"{''.join(f'; or {words}' for words in item.alike)})"
         for item in items
     )
-    return f"<!-- {words} -->"
-
-
-def _in_mjcf(text: str, name: str, items: list[Change]) -> str:
-    """Attributes of the element ``joint`` of that name."""
-
-    def put(match: re.Match[str]) -> str:
-        tag = match[0]
-        for item in items:
-            tag = _with_attribute(tag, item)
-        return f"{tag} {_comment(items)}"
-
-    return re.sub(rf'<joint\b[^>]*\bname="{re.escape(name)}"[^>]*>', put, text, count=1)
-
-
-def _in_urdf(text: str, name: str, items: list[Change]) -> str:
-    """Attributes of ``dynamics`` in the joint of that name, which is made where it is missing."""
-
-    def put(match: re.Match[str]) -> str:
-        element = match[0]
-        found = re.search(r"<dynamics\b[^>]*>", element)
-        tag = found[0] if found else "<dynamics/>"
-        changed = tag
-        for item in items:
-            changed = _with_attribute(changed, item)
-        changed = f"{changed} {_comment(items)}"
-        if found:
-            return element.replace(tag, changed, 1)
-        return element.replace("</joint>", f"{changed}</joint>", 1)
-
-    return re.sub(rf'<joint\b[^>]*\bname="{re.escape(name)}".*?</joint>', put, text, count=1, flags=re.S)
-
-
-def _with_attribute(tag: str, item: Change) -> str:
-    """A tag with an attribute set."""
-    value = f'{item.attribute}="{item.value:.5g}"'
-    pattern = rf'\b{item.attribute}="[^"]*"'
-    if re.search(pattern, tag):
-        return re.sub(pattern, value, tag, count=1)
-    return re.sub(r"\s*(/?)>$", lambda match: f" {value}{match[1]}>", tag)
+    return f"<!-- {words.replace('--', '- -')} -->"

@@ -38,6 +38,7 @@ from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
 from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.alike_joints import joint_group, read_joint_table
+from nmt_robots.verdict.file_findings import file_findings
 from nmt_robots.verdict.joint_verdict import (
     JointVerdict,
     by_shared_delay,
@@ -74,6 +75,7 @@ class RobotDiagnosis:
         others: further logs that test the answer.
         replay: the log through the model as given and as changed; None where it was not asked for.
         group: joints that are meant to be alike; None where nobody said which are.
+        of_file: facts of the model's file, known before the fit.
     """
 
     model: RobotModel
@@ -87,6 +89,7 @@ class RobotDiagnosis:
     others: tuple[OtherLog, ...] = ()
     replay: Replay | None = None
     group: UnitGroup | None = None
+    of_file: tuple[Finding, ...] = ()
 
     def left_over(self, which: str) -> float:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
@@ -126,6 +129,7 @@ class RobotDiagnosis:
             "verdict": self.verdict,
             "rows": self.log.rows,
             "step_s": self.log.step_s,
+            "file_findings": [finding.to_mapping() for finding in self.of_file],
             "log_findings": [finding.to_mapping() for finding in self.findings],
             "reading": self.reading.text(),
             "readings_that_fit_as_well": [reading.text() for reading in self.as_well],
@@ -202,7 +206,10 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     ordered = sorted(found, key=lambda item: not item.fault)
     classes = [name for finding in found if finding.instead for name in finding.joints]
     following = next_motion(motion, joints, verdicts, as_well, classes)
-    return RobotDiagnosis(robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts), following)
+    return RobotDiagnosis(
+        robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts), following,
+        of_file=tuple(file_findings(robot, log.joints)),
+    )  # fmt: skip
 
 
 def diagnose_robot_by_logs(

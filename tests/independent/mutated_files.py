@@ -164,6 +164,7 @@ def _robot_kinds(folder: Path) -> list[Kind]:
         import mujoco  # noqa: F401
     except ImportError:
         return []
+    import h5py
     from robots.simulated_joint import log_columns, robot_file
 
     from nmt_robots.log.proposal import propose_sidecar
@@ -173,12 +174,24 @@ def _robot_kinds(folder: Path) -> list[Kind]:
     robot = robot_file(folder)
     log, sidecar = folder / "log.npz", folder / "log.yaml"
     columns = log_columns(rate_hz=100.0)
-    np.savez(log, **{name: values[:400] if values.shape[0] > 400 else values for name, values in columns.items()})
+    columns = {name: values[:400] if values.shape[0] > 400 else values for name, values in columns.items()}
+    np.savez(log, **columns)
     sidecar.write_text(propose_sidecar(log, robot, folder).text)
+    rows = {name: np.ravel(values) for name, values in columns.items() if len(values) > 1}
+    effort = 60.0 * (rows["des_pos"] - rows["pos"]) + np.random.default_rng(5).normal(0.0, 0.1, len(rows["pos"]))
+    table, episode = folder / "table.csv", folder / "episode.h5"
+    header = "time [s],elbow_pos [rad],elbow_vel [rad/s],elbow_torque [Nm]"
+    numbers = np.column_stack([rows["time"], rows["pos"], rows["vel"], effort])
+    np.savetxt(table, numbers, delimiter=",", header=header, comments="", fmt="%.9g")
+    with h5py.File(episode, "w") as file:
+        for name, values in (("time", rows["time"]), ("qpos", columns["pos"]), ("effort", effort[:, None])):
+            file[f"observations/{name}"] = values
     return [
         Kind("robot", robot, lambda: RobotModel(robot)),
         Kind("log of joints", log, lambda: read_log(sidecar, robot)),
         Kind("sidecar of joints", sidecar, lambda: read_log(sidecar, robot)),
+        Kind("table of joints", table, lambda: read_log(table, robot)),
+        Kind("episode of joints", episode, lambda: read_log(episode, robot)),
     ]
 
 

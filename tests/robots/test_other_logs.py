@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from robots.simulated_joint import log_columns, robot_file
+from robots.simulated_joint import GRAVITY, LENGTH, MASS, log_columns, robot_file
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
+from nmt_core.errors import BenchError
+from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.report.robot_page import robot_page
-from nmt_robots.verdict.other_logs import ComparedTerm
+from nmt_robots.verdict.other_logs import ComparedTerm, model_of_other_log
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot_by_logs
 
 
@@ -40,6 +42,49 @@ def test_another_friction_does_not_agree(tmp_path: Path) -> None:
     assert [term.agrees for term in other.terms] == [False]
     _, model, left = other.left["elbow"]
     assert left > model
+
+
+def test_a_known_mass_hung_on_stands_in_the_model_of_the_second_log(tmp_path: Path) -> None:
+    mass = 0.7
+    robot, loaded = robot_file(tmp_path), tmp_path / "loaded.xml"
+    loaded.write_text(robot.read_text().replace(f'mass="{MASS}"', f'mass="{MASS + mass}"'))
+    first, second = tmp_path / "one.npz", tmp_path / "two.npz"
+    np.savez(first, **log_columns(coulomb=0.9))
+    np.savez(
+        second,
+        **log_columns(
+            coulomb=0.9, armature=0.03 + mass * LENGTH**2, rate_hz=250.0,
+            more=lambda q, v: mass * GRAVITY * LENGTH * np.sin(q),
+        ),
+    )  # fmt: skip
+    logs = []
+    for data, model in ((first, robot), (second, loaded)):
+        logs.append(data.with_suffix(".yaml"))
+        logs[-1].write_text(propose_sidecar(data, model, tmp_path).text)
+    (other,) = diagnose_robot_by_logs(robot, logs).others
+    assert other.model == "loaded.xml"
+    assert "with its own model loaded.xml" in other.sentence
+    assert [(term.words, term.agrees) for term in other.terms] == [("Coulomb friction", True)]
+    _, model_leaves, left = other.left["elbow"]
+    assert left < 0.7 * model_leaves
+
+
+def test_a_model_of_its_own_is_another_than_that_of_the_first_log(tmp_path: Path) -> None:
+    robot = robot_file(tmp_path)
+    newer, old = tmp_path / "newer.xml", tmp_path / "old.xml"
+    for path in (newer, old):
+        path.write_text(robot.read_text())
+    head = "robot_log: 1\ndata: log.npz\njoints: [elbow]\ntime: {column: time}\nposition: {column: pos}\n"
+    for name, key in (("one", "robot: old.xml\n"), ("two", "robot: old.xml\n"), ("three", "robot: newer.xml\n"),
+                      ("four", ""), ("five", "robot: absent.xml\n")):  # fmt: skip
+        (tmp_path / f"{name}.yaml").write_text(head + key)
+    one, two, three, four, five = (tmp_path / f"{name}.yaml" for name in ("one", "two", "three", "four", "five"))
+    assert model_of_other_log(robot, one, two) == robot
+    assert model_of_other_log(robot, one, three) == newer
+    assert model_of_other_log(robot, one, four) == robot
+    assert model_of_other_log(robot, tmp_path / "log.npz", two) == old
+    with pytest.raises(BenchError, match=r"the robot .*absent\.xml does not exist"):
+        model_of_other_log(robot, one, five)
 
 
 @pytest.mark.parametrize(("apart", "agrees"), [(0.199, True), (0.201, False), (float("nan"), False)])

@@ -237,7 +237,9 @@ def _role(name: str, template: tuple[str, ...], joint: str, number: int, stated:
     template = template[: len(template) - tail]
     turns = [word for word in words if word in _COMMAND or (word in _MEASURED and word != "act")]
     commanded = bool(turns) and turns[-1] in _COMMAND
-    if "ddot" in words or (speaking and not kind) or set(words) & _OTHER:
+    # A point in space is no joint's.
+    in_space = not joint and bool(words) and words[-1] in ("x", "y", "z", "w")
+    if in_space or "ddot" in words or (speaking and not kind) or set(words) & _OTHER:
         return Role(name, "other", commanded, template, joint, number, 0, unit)
     known = _KIND_OF.keys() | _COMMAND | _PLAIN | {"dot"}
     noise = sum(word not in known for word in words) + sum(word in ("motor", "rotor") for word in words)
@@ -252,20 +254,31 @@ def families_of(roles: Sequence[Role], widths: dict[str, int]) -> list[Family]:
         widths: columns of N × J values, and J.
     """
     found: dict[tuple[object, ...], Family] = {}
+    alike: dict[tuple[object, ...], list[Family]] = {}
     for role in roles:
         if role.kind == "other":
             continue
         by = "array" if role.column in widths else "joint" if role.joint else "number"
         place: str | int = "" if by == "array" else role.joint or role.number
-        # The torque of a joint is the force of a slide.
-        alike = tuple(role.kind if _KIND_OF.get(word) == role.kind else word for word in role.template)
-        keys = ((by, role.column),) if by == "array" else ((by, alike), (by, alike, role.template))
-        for key in keys:
-            family = found.setdefault(key, Family(role.kind, role.commanded, role.noise, by))
-            if place not in family.columns:
-                family.columns[place], family.units[place] = role.column, role.unit
-                break
-    kept = [family for family in found.values() if family.by != "number" or len(family.columns) > 1 or not any(
+        template = (role.column,) if by == "array" else role.template
+        family = found.get((by, *template))
+        if family is None:
+            family = found[(by, *template)] = Family(role.kind, role.commanded, role.noise, by)
+            same = tuple(role.kind if _KIND_OF.get(word) == role.kind else word for word in template)
+            alike.setdefault((by, *same), []).append(family)
+        family.columns.setdefault(place, role.column)
+        family.units.setdefault(place, role.unit)
+    joined: list[Family] = []
+    for first, *others in alike.values():
+        # The force of a slide belongs to the torques of joints that turn.
+        for other in others:
+            if first.by == "joint" and not first.columns.keys() & other.columns.keys():
+                first.columns |= other.columns
+                first.units |= other.units
+            else:
+                joined.append(other)
+        joined.append(first)
+    kept = [family for family in joined if family.by != "number" or len(family.columns) > 1 or not any(
         role.number >= 0 for role in roles if role.column in family.columns.values())]  # fmt: skip
     for family in kept:
         if family.by == "number":

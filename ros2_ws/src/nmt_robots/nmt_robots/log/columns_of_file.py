@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from nmt_record.exchange.import_table import kind_of, read_table
 from nmt_record.exchange.messages.ros_bag_table import is_bag, recordings_of
 from nmt_record.exchange.source_table import SourceTable, split_name
 from nmt_record.exchange.text.text_table import read_text_table
-from nmt_robots.log.column_roles import POSITION, Role, roles_of
+from nmt_robots.log.column_roles import POSITION, joint_words, roles_of
 
 Array = np.ndarray[Any, Any]
 
@@ -51,28 +51,49 @@ class FileColumns:
     question: str = ""
 
 
-def read_columns(path: Path, clock: str = "") -> FileColumns:
+@dataclass(frozen=True)
+class _Positions:
+    """Tells which columns are measured positions: those that were chosen, or by their names and the joints'."""
+
+    chosen: frozenset[str]
+    joints: dict[tuple[str, ...], str]
+
+    def count(self, columns: Iterable[str]) -> tuple[int, int]:
+        """How many columns are positions of joints that the robot has, and of any."""
+        if self.chosen:
+            return 0, len(self.chosen & set(columns))
+        roles = [role for name in columns if (role := roles_of(name, self.joints)[0]).kind == POSITION]
+        measured = [role for role in roles if not role.commanded]
+        return sum(bool(role.joint) for role in measured), len(measured)
+
+
+def read_columns(
+    path: Path, clock: str = "", joints: Sequence[str] = (), positions: Sequence[str] | str = ()
+) -> FileColumns:
     """All columns of a log.
 
     Args:
         path: NPZ, MATLAB or HDF5 file, table of text, or bag of ROS 2.
         clock: of a bag's messages: header or log; empty = as judged.
+        joints: of the robot, whose positions have the clock that all columns are read at.
+        positions: the columns of the positions, where they are known.
 
     Raises:
         BenchError: it cannot be read.
     """
     if not path.exists():
         raise BenchError(f"The log {path} does not exist.")
+    of_positions = _Positions(frozenset((positions,) if isinstance(positions, str) else positions), joint_words(joints))
     if is_bag(path):
-        return _of_bag(path, clock)
+        return _of_bag(path, clock, of_positions)
     if path.suffix.lower() == ".npz":
         return _of_arrays(dict(read_arrays(path, "log of joints")), {})
     if path.suffix.lower() in ("", ".log"):
-        return _of_table(read_text_table(path))
+        return _of_table(read_text_table(path), of_positions)
     if kind_of(path) == "mat":
         stated = {name: str(of.get("units", of.get("unit", ""))) for name, of in read_attributes(path).items()}
         return _of_arrays(read_mat(path, "log of joints"), stated)
-    return _of_table(read_table(path))
+    return _of_table(read_table(path), of_positions)
 
 
 def _of_arrays(arrays: dict[str, Array], units: dict[str, str]) -> FileColumns:
@@ -96,7 +117,7 @@ def _of_arrays(arrays: dict[str, Array], units: dict[str, str]) -> FileColumns:
     return FileColumns(values, units, rate)
 
 
-def _of_table(table: SourceTable) -> FileColumns:
+def _of_table(table: SourceTable, positions: _Positions) -> FileColumns:
     names = [name or f"column {number + 1}" for number, name in enumerate(table.names)] or [
         f"column {number + 1}" for number in range(len(table.columns))
     ]
@@ -108,23 +129,23 @@ def _of_table(table: SourceTable) -> FileColumns:
     rate = table.sample_rate or (1.0 / table.step if table.step else None)
     units = {name: unit for name, unit in zip(names, table.units, strict=True) if unit}
     stamps = tuple(names[number] for number in table.stamps)
-    columns, notes = _one_clock(columns, stamps)
+    columns, notes = _one_clock(columns, stamps, positions)
     return FileColumns(columns, units, rate, stamps, (*table.notes, *notes))
 
 
-def _of_bag(path: Path, clock: str) -> FileColumns:
+def _of_bag(path: Path, clock: str, positions: _Positions) -> FileColumns:
     """Fields of all topics that speak of joints, in the rows of the messages that have the positions."""
     recordings, notes = recordings_of(path, ClockChoice(clock))
     spoken = [
         (one, judged, columns)
         for one, judged in recordings
-        if one.block == 1 and (columns := {n: v for n, v in one.columns.items() if _speaks_of_joints(n)})
+        if one.block == 1 and (columns := {n: v for n, v in one.columns.items() if _speaks_of_joints(n, positions)})
     ]
-    with_positions = [one for one in spoken if _positions(one[2])]
+    with_positions = [one for one in spoken if any(positions.count(one[2]))]
     if not with_positions:
         why = " ".join(notes)
         raise BenchError(f"The bag {path.name} has no positions of joints by the names of its fields. {why}".strip())
-    head, head_clock, head_columns = max(with_positions, key=lambda one: (_positions(one[2]), one[0].logged.size))
+    head, head_clock, head_columns = max(with_positions, key=lambda one: (positions.count(one[2]), one[0].logged.size))
     question = next((judged.question[0] for _, judged, _ in spoken if judged.question), "")
     time = np.asarray((head_clock.time - head_clock.time[0]) * 1e-9, dtype=float)
     values: dict[str, Array] = {STAMP: time, **{name: rows[head_clock.rows] for name, rows in head_columns.items()}}
@@ -138,23 +159,14 @@ def _of_bag(path: Path, clock: str) -> FileColumns:
     return FileColumns(values, notes=(*head.notes, *head_clock.notes, *notes), question=question)
 
 
-def _role(name: str) -> Role:
-    return roles_of(name, {})[0]
-
-
-def _speaks_of_joints(name: str) -> bool:
+def _speaks_of_joints(name: str, positions: _Positions) -> bool:
     """Whether a field is a position, speed, effort, current or command of a joint."""
-    role = _role(name)
-    return role.kind not in ("", "other") or (role.commanded and role.kind == "")
+    role = roles_of(name, positions.joints)[0]
+    return name in positions.chosen or (role.kind not in ("", "other") or (role.commanded and role.kind == ""))
 
 
 def _is_command(name: str) -> bool:
-    return _role(name).commanded
-
-
-def _positions(columns: Sequence[str] | dict[str, Array]) -> int:
-    """How many columns are measured positions."""
-    return sum(role.kind == POSITION and not role.commanded for role in map(_role, columns))
+    return roles_of(name, {})[0].commanded
 
 
 def sampled(at: Array, values: Array, wanted: Array, held: bool) -> Array:
@@ -172,7 +184,9 @@ def sampled(at: Array, values: Array, wanted: Array, held: bool) -> Array:
     return np.interp(wanted, at, values, left=np.nan, right=np.nan)
 
 
-def _one_clock(columns: dict[str, Array], stamps: Sequence[str]) -> tuple[dict[str, Array], list[str]]:
+def _one_clock(
+    columns: dict[str, Array], stamps: Sequence[str], positions: _Positions
+) -> tuple[dict[str, Array], list[str]]:
     """The rows that have positions, of a table whose blanks are rows of other topics; and a sentence on it."""
     masks = {name: np.isfinite(values) for name, values in columns.items() if values.dtype.kind == "f"}
     time = next((name for name in columns if _is_clock(name, columns[name], stamps)), None)
@@ -182,10 +196,10 @@ def _one_clock(columns: dict[str, Array], stamps: Sequence[str]) -> tuple[dict[s
             groups.setdefault(mask.tobytes(), []).append(name)
     if time is None or len(groups) < 2:
         return columns, []
-    of_positions = [names for names in groups.values() if _positions(names)]
+    of_positions = [names for names in groups.values() if any(positions.count(names))]
     if not of_positions:
         return columns, []
-    head = max(of_positions, key=lambda names: (_positions(names), int(masks[names[0]].sum())))
+    head = max(of_positions, key=lambda names: (positions.count(names), int(masks[names[0]].sum())))
     rows = masks[head[0]]
     others = [names for names in groups.values() if names is not head]
     elsewhere = np.zeros(len(rows), dtype=bool)

@@ -49,10 +49,12 @@ class Proposal:
     Attributes:
         text: YAML.
         questions: what its reader must answer.
+        columns: of the log.
     """
 
     text: str
     questions: tuple[str, ...]
+    columns: FileColumns
 
 
 def propose_sidecar(data: Path, robot: Path, folder: Path) -> Proposal:
@@ -67,13 +69,13 @@ def propose_sidecar(data: Path, robot: Path, folder: Path) -> Proposal:
         BenchError: one of them cannot be read, or no column is a position.
     """
     model = RobotModel(robot)
-    columns = read_columns(data)
+    columns = read_columns(data, joints=model.names)
     if columns.question:
-        columns = replace(read_columns(data, "log"), question=columns.question)
+        columns = replace(read_columns(data, "log", model.names), question=columns.question)
     draft = _Draft(data, columns, model)
     sidecar = {"robot_log": 1, "data": _relative(data, folder), "robot": _relative(robot, folder), **draft.sections()}
     text = "".join(f"# {line}\n" for line in draft.remarks) + yaml_text(sidecar)
-    return Proposal(text, tuple(draft.questions))
+    return Proposal(text, tuple(draft.questions), columns)
 
 
 def _relative(path: Path, folder: Path) -> str:

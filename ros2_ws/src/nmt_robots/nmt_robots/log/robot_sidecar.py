@@ -158,7 +158,8 @@ def read_robot_sidecar(path: Path) -> JointLog:
     document = read_document(path, "sidecar of a robot's log", "robot_log, data, joints, time and position")
     sidecar = _valid(document)
     data = path.parent / sidecar.data
-    return log_of(sidecar, read_columns(data, sidecar.time.clock or ""), str(data))
+    columns = read_columns(data, sidecar.time.clock or "", sidecar.joints, sidecar.position.column)
+    return log_of(sidecar, columns, str(data))
 
 
 def robot_of_sidecar(path: Path) -> Path | None:

@@ -12,7 +12,6 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.text.number_words import percent
 from nmt_diagnose.units.unit_group import UnitGroup
-from nmt_robots.log.columns_of_file import read_columns
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.log.robot_sidecar import read_robot_sidecar, sidecar_of_text
@@ -351,7 +350,7 @@ def read_log(real: Path, model: Path) -> JointLog:
             f"{real} does not say {'; '.join(proposal.questions)}: make a sidecar and answer it there: "
             f"./nmt import --init {real} --robot {model}."
         )
-    return sidecar_of_text(proposal.text, real.parent, read_columns(real))
+    return sidecar_of_text(proposal.text, real.parent, proposal.columns)
 
 
 def with_base(

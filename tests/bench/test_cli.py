@@ -393,6 +393,36 @@ def test_extract_writes_its_files_and_repeats_itself(capsys: pytest.CaptureFixtu
 
 
 class TestOutputFolder:
+    def test_of_two_runs_into_one_folder_the_second_is_told_of_the_first(self, tmp_path):
+        out = tmp_path / "out"
+        with output_folder.OutputFolder(out, live=True) as folder:
+            for force in (False, True):
+                with pytest.raises(BenchError, match="Another command is writing"):
+                    output_folder.OutputFolder(out, force=force, live=True).__enter__()
+            (folder / "run.json").write_text('{"run_id": "beam-1"}')
+            for live in (False, True):
+                with pytest.raises(BenchError, match=r"Another command is writing to .*out \(run beam-1\)"):
+                    output_folder.OutputFolder(out, force=True, live=live).__enter__()
+        assert [path.name for path in out.iterdir()] == ["run.json"]  # and is whole
+        with pytest.raises(BenchError, match="not empty"):
+            output_folder.check_output(out, force=False)
+        with output_folder.OutputFolder(out, force=True, live=True):
+            assert not list(out.iterdir())
+
+    def test_results_that_another_command_has_left_meanwhile_are_kept(self, tmp_path):
+        out = tmp_path / "out"
+
+        def end_late():
+            with output_folder.OutputFolder(out) as folder:
+                (folder / "modal.csv").write_text("late")
+                out.mkdir()
+                (out / "modal.csv").write_text("early")
+
+        with pytest.raises(BenchError, match="not empty"):
+            end_late()
+        assert (out / "modal.csv").read_text() == "early"
+        assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
     def test_new_folder_appears_whole(self, tmp_path: Path) -> None:
         out = tmp_path / "deep" / "out"
         with output_folder.OutputFolder(out) as folder:

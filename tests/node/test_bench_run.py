@@ -192,10 +192,10 @@ def test_nodes_with_other_blocks_are_refused(tmp_path: Path) -> None:
     ("victim", "pacing"),
     [
         ("pll", "lockstep"),
+        ("plant", "lockstep"),
         ("recorder", "lockstep"),
         pytest.param("sequencer", "lockstep", marks=pytest.mark.campaign),
         pytest.param("extract", "lockstep", marks=pytest.mark.campaign),
-        pytest.param("plant", "lockstep", marks=pytest.mark.campaign),
         pytest.param("plant", "realtime", marks=pytest.mark.campaign),
         pytest.param("recorder", "realtime", marks=pytest.mark.campaign),
     ],
@@ -230,6 +230,7 @@ def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) ->
         assert [block.first_sample for block in blocks[1:]] == ends[:-1]  # what arrived is whole
     if victim != "plant":  # what it had said last may be lost with it
         assert (bag.loss is not None) == (victim == "recorder")
+    assert (bag.path / "metadata.yaml").is_file() == (victim != "recorder")
     if both_live:
         assert not blocks[-1].data.any()
 

@@ -64,6 +64,7 @@ from nmt_session.run_result import Progress, RunResult, with_cause
 START_TIMEOUT = 120.0  # s; on a busy computer the plant compiles and loads for a minute
 _POLL = 0.02
 _RESEND = RESEND
+_NO_RAMP = 1.5  # s without work after which nodes are hurried where no ramp to zero can come
 _STILL = HANG_LIMIT + 15.0  # s without progress of the recorder after which its bag stays open
 _NOTE_AFTER = 5.0  # s that a run is held up, or the recorder writes on, before it is said, and between two notes
 _LAST_WRITES = 0.5  # s that the recorder gets for what is on its way to it
@@ -524,7 +525,7 @@ class Bench:
             # Nobody tells the recorder that the run is over: wait for the plant's own ramp, then end all nodes.
             self.spin_while(lambda: not (client.drive_is_at_zero or stands_still), 10.0)
             self.spin(_LAST_WRITES)
-            self.processes.end()
+            self.processes.end(*([_NO_RAMP] if stands_still else []))
         begun = moved = time.monotonic()
         written = client.recorded
         ended = ("recorder", "sequencer", "plant") if stands_still else ("recorder", "sequencer")

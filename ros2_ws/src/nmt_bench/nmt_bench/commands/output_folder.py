@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import fcntl
+import json
 import os
 import shutil
 import tempfile
@@ -64,8 +67,8 @@ class OutputFolder:
         live: write in place.
 
     Raises:
-        BenchError: on entry, if the folder cannot be made, is not a folder, or is not empty and ``force`` is
-        not set; on exit, if it is no longer there.
+        BenchError: on entry, if the folder cannot be made, is not a folder, is written by another command, or is not
+        empty and ``force`` is not set; on exit, if it is no longer there, or another command has filled it.
     """
 
     def __init__(self, path: Path | str, force: bool = False, live: bool = False) -> None:
@@ -74,6 +77,7 @@ class OutputFolder:
         self._live = live
         self._work = self.path
         self._made = False
+        self._lock: int | None = None
 
     def __enter__(self) -> Path:
         check_output(self.path, self._force)
@@ -81,6 +85,12 @@ class OutputFolder:
             if self._live:
                 self._made = not self.path.exists()
                 self.path.mkdir(parents=True, exist_ok=True)
+                self._lock = _locked(self.path)
+                if self._lock is None:
+                    raise _taken(self.path)
+                if not self._force and any(self.path.iterdir()):
+                    os.close(self._lock)
+                    raise _not_empty(self.path)
                 for name in RESULT_NAMES:
                     _remove(self.path / name)
             else:
@@ -96,6 +106,8 @@ class OutputFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._lock is not None:
+            os.close(self._lock)
         if not self._work.is_dir() and (kind is None or issubclass(kind, Exception)):
             raise BenchError(
                 f"The results folder {self._work} was deleted while the command wrote to it, so its results are lost; "
@@ -115,6 +127,7 @@ class OutputFolder:
         if not self.path.exists():
             self._work.rename(self.path)
             return
+        check_output(self.path, self._force)  # another command may have been here meanwhile
         for item in sorted(self._work.iterdir()):
             target = self.path / item.name
             if item.is_dir() or target.is_dir():
@@ -131,7 +144,8 @@ def check_output(path: Path, force: bool, replace: str = "force") -> None:
         replace: name of the option that says so.
 
     Raises:
-        BenchError: ``path`` is a file, or a folder that is not empty while ``force`` is not set.
+        BenchError: ``path`` is a file, a folder that another command is writing to, or one that is not empty while
+            ``force`` is not set.
     """
     try:
         path.exists()
@@ -140,11 +154,13 @@ def check_output(path: Path, force: bool, replace: str = "force") -> None:
         raise BenchError(f"The results folder {path} cannot be used ({why}); choose another with --out.") from error
     if path.exists() and not path.is_dir():
         raise BenchError(f"The results folder {path} is a file; choose another with --out.")
+    if path.is_dir() and any(path.iterdir()):
+        lock = _locked(path)
+        if lock is None:
+            raise _taken(path)
+        os.close(lock)
     if path.is_dir() and not force and any(path.iterdir()):
-        raise BenchError(
-            f"The results folder {path} is not empty; choose another with --out, or add --{replace} to "
-            "replace its results."
-        )
+        raise _not_empty(path, replace)
 
 
 def free_folder(path: Path) -> Path:
@@ -154,6 +170,36 @@ def free_folder(path: Path) -> Path:
         number += 1
         candidate = path.with_name(f"{path.name}-{number}")
     return candidate
+
+
+def _locked(folder: Path) -> int | None:
+    """Descriptor that holds a folder for one command, as the system frees it with the process; None if it is taken."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return None
+    except OSError:
+        pass  # a file system without locks
+    return handle
+
+
+def _not_empty(folder: Path, replace: str = "force") -> BenchError:
+    return BenchError(
+        f"The results folder {folder} is not empty; choose another with --out, or add --{replace} to replace its "
+        "results."
+    )
+
+
+def _taken(folder: Path) -> BenchError:
+    name = ""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
+        name = f" (run {json.loads((folder / 'run.json').read_text(encoding='utf-8'))['run_id']})"
+    return BenchError(
+        f"Another command is writing to the results folder {folder}{name}; wait for its end, or choose another with "
+        "--out."
+    )
 
 
 def _remove(path: Path) -> None:

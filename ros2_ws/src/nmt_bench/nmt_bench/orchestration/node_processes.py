@@ -21,6 +21,7 @@ from nmt_core.processes.process_watch import ProcessWatch
 from nmt_session.node_plan import NODES, NodePlan
 
 _GRACE = 15.0  # s in which a node that is told to end has nothing to do: it waits for the ramp to zero in vain
+_HURRIED = 3.0  # s in which it leaves what it waits for and closes its files
 _MOST_WORK = 120.0  # s of processor time that it may take for what it was sent
 IDLE_START = 6.0  # s that a node which has not been heard of yet does nothing, after which it will not come up
 _WORKS = 0.2  # share of a core from which it does something
@@ -160,8 +161,13 @@ class NodeProcesses:
             return ": ".join(part for part in (how, last.rstrip(".")) if part)
         return how
 
-    def end(self) -> None:
-        """Ask every process to end, wait, then kill what is left."""
+    def end(self, grace: float = _GRACE) -> None:
+        """Ask every process to end, wait, ask again, by which a node leaves what it waits for, then kill what is left.
+
+        Args:
+            grace: s in which a node has nothing to do.
+        """
+        asked_again: set[str] = set()
         for process in self.processes.values():
             if process.poll() is None:
                 process.send_signal(signal.SIGTERM)
@@ -171,7 +177,11 @@ class NodeProcesses:
             time.sleep(0.01)
             for name, doing in list(left.items()):
                 process = self.processes[name]
-                if process.poll() is None and (doing.look() > _GRACE or doing.worked > _MOST_WORK):
+                idle = doing.look()
+                if process.poll() is None and idle > grace and name not in asked_again:
+                    asked_again.add(name)
+                    process.send_signal(signal.SIGTERM)
+                if process.poll() is None and (idle > grace + _HURRIED or doing.worked > _MOST_WORK):
                     process.kill()
                     process.wait()
                 if process.poll() is not None:

@@ -57,11 +57,13 @@ class Kind:
         name: of the kind.
         changed: the file whose bytes are changed.
         read: what reads it; raises BenchError or BadFileError where it refuses.
+        change: makes another file of its content.
     """
 
     name: str
     changed: Path
     read: Callable[[], Any]
+    change: Callable[[bytes, np.random.Generator], bytes] = mutated
 
 
 def _matrix_kinds(folder: Path) -> list[Kind]:
@@ -165,6 +167,7 @@ def _robot_kinds(folder: Path) -> list[Kind]:
     except ImportError:
         return []
     import h5py
+    from robots.changed_robot_files import MJCF, URDF, changed_tree
     from robots.simulated_joint import log_columns, robot_file
 
     from nmt_robots.log.proposal import propose_sidecar
@@ -186,13 +189,35 @@ def _robot_kinds(folder: Path) -> list[Kind]:
     with h5py.File(episode, "w") as file:
         for name, values in (("time", rows["time"]), ("qpos", columns["pos"]), ("effort", effort[:, None])):
             file[f"observations/{name}"] = values
+    rich = []
+    for form, text in (("xml", MJCF), ("urdf", URDF)):
+        path = folder / f"rich.{form}"
+        path.write_text(text)
+        rich += [
+            Kind(f"robot {form}{words}", path, lambda path=path: _torque_of(path), change)  # type: ignore[misc]
+            for words, change in (("", mutated), (", tree", changed_tree))
+        ]
     return [
+        *rich,
         Kind("robot", robot, lambda: RobotModel(robot)),
         Kind("log of joints", log, lambda: read_log(sidecar, robot)),
         Kind("sidecar of joints", sidecar, lambda: read_log(sidecar, robot)),
         Kind("table of joints", table, lambda: read_log(table, robot)),
         Kind("episode of joints", episode, lambda: read_log(episode, robot)),
     ]
+
+
+def _torque_of(path: Path) -> None:
+    """Read a robot, its facts and a torque, which has to be a number."""
+    from nmt_robots.model.robot_model import RobotModel
+    from nmt_robots.verdict.file_findings import file_findings
+
+    model = RobotModel(path)
+    model.chosen(model.names)
+    file_findings(model, model.names)
+    pose = np.linspace(-0.5, 0.5, len(model.names))[None]
+    if not np.all(np.isfinite(model.torque(model.names, pose, pose, pose))):
+        raise ValueError("the torque is no number")
 
 
 def kinds_in(folder: Path) -> list[Kind]:
@@ -256,7 +281,7 @@ def answered(kind: Kind, count: int, out: Path) -> dict[str, int]:
         return dict(json.loads(path.read_text(encoding="utf-8")))
     random = np.random.default_rng([823, *kind.name.encode()])
     content = kind.changed.read_bytes()
-    files = [mutated(content, random) for _ in range(count)]
+    files = [kind.change(content, random) for _ in range(count)]
     ends = outcomes(kind, files)
     kind.changed.write_bytes(content)
     bad = [number for number, end in enumerate(ends) if end not in (TAKEN, REFUSED)]

@@ -193,7 +193,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="robots that are diagnosed anew; all without an answer otherwise")
     parser.add_argument("--urdfs", type=Path, help="folder of URDFs; that of example-robot-data without")
     parser.add_argument("--out", type=Path, required=True)
-    options = parser.parse_args()
+    options = parser.parse_intermixed_args()
     if options.step == "make":
         make(options.urdfs or installed_urdfs(), options.out)
     else:

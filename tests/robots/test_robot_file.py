@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from robots.changed_robot_files import MJCF, scaled_numbers
 from robots.simulated_joint import robot_file
 from tiers import with_quick
 
@@ -235,6 +236,19 @@ def test_facts_of_a_scene_are_said_before_the_fit(tmp_path: Path) -> None:
     assert "10°" in sentences["file_tilted_base"]
 
 
+@pytest.mark.parametrize(
+    "drive",
+    [
+        '<damper joint="elbow" kv="1" ctrlrange="0 1"/>', '<muscle joint="elbow"/>', '<dcmotor joint="elbow"/>',
+        '<intvelocity joint="elbow" kp="1" actrange="-1 1"/>', '<motor joint="elbow" ctrlrange="0 0"/>',
+    ],
+)  # fmt: skip
+def test_a_drive_whose_limit_is_not_stated_has_none(tmp_path: Path, drive: str) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_text(SCENE.replace("<actuator>", f"<actuator>{drive}"))
+    assert RobotModel(path).joints[0].effort == np.inf
+
+
 BOX = np.array([[x, y, z] for x in (0.0, 0.2) for y in (-0.03, 0.03) for z in (-0.02, 0.02)])
 FACES = ("1 2 4", "1 4 3", "5 7 8", "5 8 6", "1 5 6", "1 6 2", "3 4 8", "3 8 7", "1 3 7", "1 7 5", "2 6 8", "2 8 4")
 
@@ -337,3 +351,49 @@ def test_what_is_wrong_in_a_urdf_is_one_sentence(tmp_path: Path, text: str, word
     path.write_text(text)
     with pytest.raises(BenchError, match=words):
         RobotModel(path)
+
+
+def direct_torque(text: str, names: tuple[str, ...], pose: Any) -> Any:
+    """Torque by MuJoCo's own reader of the whole file, without what belongs to the drives."""
+    import mujoco
+
+    spec = mujoco.MjSpec.from_string(text)
+    for geom in list(spec.geoms):
+        if geom.meshname:
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        spec.delete(mesh)
+    model = spec.compile()
+    for values in (model.dof_damping, model.dof_dampingpoly, model.dof_frictionloss, model.dof_armature):
+        values[:] = 0.0
+    flags = mujoco.mjtDisableBit
+    model.opt.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT)
+    data = mujoco.MjData(model)
+    numbers = [model.joint(name).id for name in names]
+    data.qpos[model.jnt_qposadr[numbers]] = pose
+    data.qvel[model.jnt_dofadr[numbers]] = data.qacc[model.jnt_dofadr[numbers]] = pose
+    mujoco.mj_inverse(model, data)
+    return data.qfrc_inverse[model.jnt_dofadr[numbers]]
+
+
+@pytest.mark.parametrize("seed", with_quick(range(10), 0))
+def test_what_is_left_out_of_a_file_changes_no_torque(tmp_path: Path, seed: int) -> None:
+    """MuJoCo's reading of the whole file is the witness, also of changed numbers."""
+    pytest.importorskip("mujoco").set_mju_user_warning(lambda _: None)
+    random, path, compared = np.random.default_rng(seed), tmp_path / "rich.xml", 0
+    for number in range(12):
+        text = MJCF if number == 0 else scaled_numbers(MJCF, random)
+        path.write_text(text)
+        try:
+            model = RobotModel(path)
+            model.chosen(model.names)
+            expected = direct_torque(text, model.names, 0.3)
+        except (BenchError, ValueError):
+            continue
+        pose = np.full((1, len(model.names)), 0.3)
+        size = max(1.0, float(np.max(np.abs(expected))))
+        np.testing.assert_allclose(
+            model.torque(model.names, pose, pose, pose)[0], expected, atol=1e-9 * size, err_msg=text
+        )
+        compared += 1
+    assert compared >= 6

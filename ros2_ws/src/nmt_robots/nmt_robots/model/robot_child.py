@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -215,7 +216,9 @@ if __name__ == "__main__":
     except BenchError:
         raise
     except (ValueError, RuntimeError) as error:
-        raise ValueError("; ".join(line for line in str(error).splitlines() if line.strip())) from None
+        # Its lines are those of what it was given, not of the user's file.
+        words = re.sub(r"\b(XML )?Error: |,? \(?line \d+\)?", "", str(error))
+        raise ValueError("; ".join(line.strip() for line in words.splitlines() if line.strip())) from None
     size = mujoco.mj_sizeModel(model)
     if size + model.narena > int(sys.argv[1]):
         raise MemoryError

@@ -319,7 +319,8 @@ class RobotModel:
                 continue
             gear = float(model.actuator_gear[drive, 0])
             limit = np.inf
-            plain_motor = int(model.actuator_biastype[drive]) == int(mujoco.mjtBias.mjBIAS_NONE)
+            kinds = int(model.actuator_biastype[drive]), int(model.actuator_gaintype[drive])
+            plain_motor = kinds == (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtGain.mjGAIN_FIXED))
             if model.actuator_ctrllimited[drive] and plain_motor:
                 limit = abs(float(model.actuator_gainprm[drive, 0])) * float(
                     np.max(np.abs(model.actuator_ctrlrange[drive]))

@@ -231,7 +231,8 @@ def test_a_field_of_the_plan_arrives_at_its_nodes(name: str) -> None:
 
 GIVEN = {
     "lockstep": {
-        "plant": "rig_file bundle_blocks loop_topics drive_point reader_lead expected_peers watched_nodes linked",
+        "plant": "rig_file pacing bundle_blocks loop_topics drive_point reader_lead expected_peers watched_nodes "
+        "linked",
         "pll": "linear_json drive_point sample_rate block_samples bundle_blocks joined_input force_floor "
         "response_floor voltage_limit pacing expected_peers watched_nodes linked",
         "sequencer": "sample_rate block_samples largest_voltage largest_force largest_response expected_peers "
@@ -240,7 +241,7 @@ GIVEN = {
         "recorder": "output bundled run_json rig_yaml chunk_messages pacing expected_peers linked",
     },
     "realtime": {
-        "plant": "rig_file pacing latency_blocks output_record device device_address expected_peers watched_nodes",
+        "plant": "rig_file latency_blocks output_record device device_address expected_peers watched_nodes",
         "pll": "linear_json drive_point sample_rate block_samples force_floor response_floor latency_blocks "
         "voltage_limit expected_peers watched_nodes",
         "sequencer": "sample_rate block_samples pacing latency_blocks largest_voltage largest_force largest_response "

@@ -96,6 +96,9 @@ def test_the_strategy_is_checked():
         Bench("beam", levels=[1.0], strategy="leap")
     with pytest.raises(BenchError, match="waits at every level"):
         Bench("beam", levels=[1.0], strategy="ramp", overrides=["pll.loop=paper"])
+    for control in ("response", "force"):
+        with pytest.raises(BenchError, match="holds neither response nor force; use --control voltage"):
+            Bench("beam", levels=[1e-4], strategy="ramp", control=control)
     bench = Bench("beam", levels=[1.0], strategy="ramp")
     assert bench.test.asked.window_periods == 20
     assert bench.test.asked.ramp == pytest.approx(20 / 22.19, rel=1e-3)

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from nmt_core.errors import BenchError
 from nmt_core.kinds.kind_of_test import KindOfTest, of_goal, of_plan
-from nmt_core.vocabulary import AUTOMATIC, HarmonicsTarget, TestKind
+from nmt_core.vocabulary import AUTOMATIC, ControlKind, HarmonicsTarget, TestKind
 
 MOST_HARMONICS = 50
 """Highest harmonic that can be asked for."""
@@ -96,7 +96,7 @@ class PhaseResonanceTest(PhaseLockedTest):
         return self.refinement > 0.0
 
     def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
-        """Refuse (BenchError) an unknown strategy, and levels put in where levels are ramps or not alike."""
+        """Refuse (BenchError) an unknown strategy, ramps of what is held, levels put into ramps or between others."""
         super().check(frequencies_hz, levels, control, sample_rate)
         if self.strategy not in STRATEGIES:
             raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")
@@ -104,6 +104,11 @@ class PhaseResonanceTest(PhaseLockedTest):
             raise BenchError(f"The refinement must be from 0 (none) to below 1, got {self.refinement}.")
         if self.refinement and self.strategy == "ramp":
             raise BenchError("Levels are put in between in stepped tests only; leave out the refinement.")
+        if self.strategy == "ramp" and control in (ControlKind.RESPONSE, ControlKind.FORCE):
+            raise BenchError(
+                "The strategy ramp measures while the voltage changes and holds neither response nor force; use "
+                "--control voltage, or --strategy stepped."
+            )
         if self.refinement and frequencies_hz:
             raise BenchError("Levels can be put in only where all are done alike: leave out the frequencies.")
 

@@ -84,7 +84,7 @@ def test_a_torque_that_was_measured_leaves_damping_alone(tmp_path: Path) -> None
 
 def test_efficiency_and_friction_by_load_are_one_effect(motion: Motion) -> None:
     problem = JointProblem(motion, 0, DriveSignals(np.ones(len(motion.q))))
-    (effect,) = [effect for effect in problem.rivals if effect.key == "load_friction"]
+    (effect,) = [effect for effect in problem.library if effect.key == "load_friction"]
     assert effect.words == "friction that grows with the load, or efficiency by direction"
 
 

@@ -13,8 +13,9 @@ from robots.simulated_joint import log_columns, robot_file
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
 from nmt_robots.log_faults.repair import unwrapped
-from nmt_robots.mechanics import ladder
-from nmt_robots.mechanics.ladder import JointProblem
+from nmt_robots.mechanics import joint_space, ladder
+from nmt_robots.mechanics.columns import Effect
+from nmt_robots.mechanics.ladder import JointProblem, explain
 from nmt_robots.mechanics.motion import motion_of
 from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading
 from nmt_robots.model.robot_model import RobotModel
@@ -36,8 +37,9 @@ def problem(folder: Path, more: Callable[[float, float], float] | None = None) -
 
 def test_a_spring_brings_its_rest_with_it(tmp_path: Path) -> None:
     """Its rest at 1 rad is an offset of 3 N·m, far beyond the tolerance of one."""
-    needed, _ = problem(tmp_path, lambda q, v: 3.0 * (q - 1.0)).needed(IN_MODEL)
-    assert needed[0].key == "spring"
+    found = explain(problem(tmp_path, lambda q, v: 3.0 * (q - 1.0)), IN_MODEL)
+    assert found.causes == ("spring",)
+    assert found.choice.probability["spring"] > 0.9
 
 
 def test_a_spring_of_the_file_is_none_that_is_missing(tmp_path: Path) -> None:
@@ -62,10 +64,7 @@ def test_friction_that_falls_with_speed_is_found_within_the_tolerances(tmp_path:
 def test_friction_never_drives(tmp_path: Path) -> None:
     """Friction that shrinks under load is no efficiency."""
     asked = problem(tmp_path, lambda q, v: -0.1 * abs(3.53 * np.sin(q)) * np.sign(v))
-    needed, _ = asked.needed(IN_MODEL)
-    assert "load_friction" not in {effect.key for effect in needed}
-    rival = next(effect for effect in asked.rivals if effect.key == "load_friction")
-    assert not ladder._earns_its_place(asked, list(asked.usual), rival)
+    assert "load_friction" not in explain(asked, IN_MODEL).causes
 
 
 def test_a_limit_of_the_torque_takes_all_that_is_beyond_it(tmp_path: Path) -> None:
@@ -74,12 +73,12 @@ def test_a_limit_of_the_torque_takes_all_that_is_beyond_it(tmp_path: Path) -> No
     beyond = np.sign(asked.torque) * np.maximum(np.abs(asked.torque) - limit, 0.0)
     every_row = np.zeros_like(asked._every)
     every_row[asked._rows] = beyond
-    effect = ladder.Effect("saturation", "", "1", every_row[:, None], True, "", 1.5, True, 0.5)
+    effect = Effect("saturation", "", "1", every_row[:, None], True, "", 1.5, True, 0.5)
     asked._filtered[id(effect)] = beyond[:, None]
     clean = asked.left.copy()
-    for share, earned in ((0.1, False), (1.0, True)):
+    for share, credible in ((0.1, False), (1.0, True)):
         asked.left = clean + share * beyond
-        assert ladder._earns_its_place(asked, list(asked.usual), effect) is earned
+        assert asked.credible(list(asked.usual), effect) is credible
 
 
 def test_nothing_is_expected_to_leave_less_than_the_errors_of_the_bodies(
@@ -88,21 +87,39 @@ def test_nothing_is_expected_to_leave_less_than_the_errors_of_the_bodies(
     """Friction at twice its tolerance is a cause only if what the bodies leave over counts for little."""
     asked = problem(tmp_path)
     off = {**IN_MODEL, "coulomb": 0.4}
-    assert asked.needed(off)[0] == []
-    monkeypatch.setattr(ladder, "THRESHOLDS", replace(THRESHOLDS, smallest_floor=1e-3))
-    assert asked.needed({**IN_MODEL, "coulomb": 0.3})[0]
+    assert explain(asked, off).causes == ()
+    monkeypatch.setattr(joint_space, "THRESHOLDS", replace(THRESHOLDS, smallest_floor=1e-3))
+    assert explain(asked, {**IN_MODEL, "coulomb": 0.3}).causes == ("coulomb",)
 
 
-def test_what_is_needed_has_to_shrink_what_is_left(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = problem(tmp_path, lambda q, v: np.sign(v) * 0.5 * np.exp(-abs(v) / 0.2))
-    rival = next(effect for effect in asked.rivals if (effect.key, effect.shape) == ("stribeck", "0.2 rad/s"))
-    now = asked.held_out(list(asked.usual))
-    after = asked.held_out([*asked.usual, rival])
-    shrunk = 1.0 - max(after.interleaved / now.interleaved, after.last / now.last)
-    assert shrunk > THRESHOLDS.needed_gain
-    for limit, count in ((shrunk - 0.01, 1), (shrunk + 0.01, 0)):
-        monkeypatch.setattr(ladder, "THRESHOLDS", replace(THRESHOLDS, needed_gain=limit, smallest_share=1.0))
-        assert len(ladder._gains(asked, list(asked.usual), now, [rival], needed=True)) == count
+@pytest.mark.parametrize("excess", [0.0, 0.5])
+def test_friction_that_a_file_lacks_is_named_whole(tmp_path: Path, excess: float) -> None:
+    """Coulomb and viscous friction together look like friction with the root of speed to a first step alone."""
+    np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.5 + excess))
+    diagnosis = diagnose_robot(robot_file(tmp_path, damping=0.0, coulomb=0.0), tmp_path / "log.npz")
+    terms = {term.key: term for term in diagnosis.joints[0].terms if term.differs}
+    assert set(terms) == {"coulomb", "viscous"}
+    assert abs(terms["coulomb"].value - 0.5 - excess) < 3.0 * terms["coulomb"].std
+    assert abs(terms["viscous"].value - 0.2) < 3.0 * terms["viscous"].std
+
+
+def test_friction_of_a_file_that_the_robot_lacks_is_named(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.0, damping=0.0))
+    diagnosis = diagnose_robot(robot_file(tmp_path, damping=0.6), tmp_path / "log.npz")
+    terms = {term.key: term for term in diagnosis.joints[0].terms if term.differs}
+    assert set(terms) == {"coulomb", "viscous"}
+    assert terms["coulomb"].value == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_claim_has_to_hold_on_the_last_part_of_the_log(tmp_path: Path) -> None:
+    """Friction that only the first part of the log has leaves more on the last with it than without it."""
+    asked = problem(tmp_path)
+    rows = len(asked.left)
+    asked.left = asked.left + np.where(np.arange(rows) < 0.65 * rows, 0.8, -0.3) * asked.columns([asked.usual[0]])[:, 0]
+    found = explain(asked, IN_MODEL)
+    assert "coulomb" in found.causes
+    assert "coulomb" in found.lost
+    assert explain(problem(tmp_path), {**IN_MODEL, "coulomb": 0.1}).lost == frozenset()
 
 
 def test_a_delay_that_joints_share_widens_damping_and_armature(tmp_path: Path) -> None:

@@ -21,7 +21,8 @@ class Thresholds:
         smallest_floor: of a joint's torque; no set of causes is expected to leave less over, for the bodies have
             errors of that size.
         needed_gain: share by which an effect that is needed has to shrink what held-out rows leave over.
-        unexplained: torque left over, as a share of the torque, from which nothing is claimed of a joint.
+        unexplained: torque left over, as a share of the torque, from which a joint is not as in the model, and a gain
+            of its drive is not told.
         may_give_way: torque left over, as a share of the torque, from which a link is simulated by itself.
         gives_way: torque left over by a transmission against that of the rigid bodies, below which it is one.
         moving_rows: share of rows; a joint that moves in fewer is not judged.

@@ -16,6 +16,9 @@ from nmt_robots.mechanics.readings import DriveSignals
 _LARGEST_SCALE = 0.5
 """Of gravity or inertia: no link of a model is wrong by more than half."""
 
+_LARGEST_MASS = 1.0
+"""Of a link, as a share of it, that it may carry or lack."""
+
 _PASSIVE = frozenset({"stribeck", "quadratic_friction", "root_friction", "load_friction", "end_stop"})
 """Rivals that would drive the joint if their coefficient were negative."""
 
@@ -143,7 +146,8 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
             largest=_LARGEST_SCALE)  # fmt: skip
     for name, doubled in zip(names, motion.of_links, strict=False):
         if np.std(doubled[:, joint]) > 0.01 * np.std(torque):
-            found.append(Effect("link_mass", "mass of a link", "1", doubled[:, [joint]], shape=f"link of {name}"))
+            found.append(Effect("link_mass", "mass of a link", "1", doubled[:, [joint]], shape=f"link of {name}",
+                                largest=_LARGEST_MASS))  # fmt: skip
     if np.std(state.inertial) > 0.0:
         add(lambda s: (s.inertial,), "inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1",
             largest=_LARGEST_SCALE)  # fmt: skip

@@ -1,23 +1,27 @@
-"""Mechanics of one joint: the usual effects, and rivals that earn their place on motion that no fit has seen."""
+"""Mechanics of one joint: which effects its torque needs, their values, and what they leave on motion not seen."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from nmt_diagnose.choose.choice import Choice
+from nmt_diagnose.choose.space import Space
 from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.columns import Effect, rival_effects, usual_effects
+from nmt_robots.mechanics.joint_space import MARGIN, joint_space
 from nmt_robots.mechanics.least_squares import Fit, fitted, solve
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import DriveSignals
-from nmt_robots.mechanics.selection import Chooser, nuisances_of
 from nmt_robots.thresholds import THRESHOLDS
 
 USUAL = ("coulomb", "viscous", "armature", "offset")
 _LAST_PART = 0.7
-_FURTHER_AT_MOST = 2
+_CAUSES_AT_MOST = 4
+_ALIKE = 10.0
+"""Difference of the criterion, odds of 150, up to which another cause does as well in the place of the first."""
 _MOSTLY_OTHERS = 0.1
 """Of a column, beyond other effects, below which it is theirs and says nothing of a further one."""
 
@@ -30,6 +34,7 @@ class Share:
         effect: which.
         values, std: of its coefficients.
         rms: torque that it takes, N·m.
+        unit_rms: the same of a coefficient of one.
         alike: words of effects whose columns say the same in this log.
         equal: those of them whose columns are the same, so that no fit parts them.
         impossible: what a coefficient would be that may not be negative; zero where it is allowed.
@@ -39,6 +44,7 @@ class Share:
     values: Array
     std: Array
     rms: float
+    unit_rms: float
     alike: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
     impossible: float = 0.0
@@ -73,6 +79,23 @@ class HeldOut:
     early: Array
 
 
+@dataclass(frozen=True)
+class JointChoice:
+    """Causes that a joint needs where all that is within its tolerance may move.
+
+    Attributes:
+        causes: keys of the effects, that first without which the others explain least.
+        instead: keys of effects that would do about as well in the place of the first.
+        probability: posterior probability of each cause, by key.
+        score: the criterion of the choice, of torques in units of the joint's rms.
+    """
+
+    causes: tuple[str, ...] = ()
+    instead: tuple[str, ...] = ()
+    probability: Mapping[str, float] = field(default_factory=dict)
+    score: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class JointMechanics:
     """What acts in a joint.
@@ -80,21 +103,22 @@ class JointMechanics:
     Attributes:
         shares: effects, the usual ones first.
         held_out, plain: torque left by these, and by the usual effects alone.
-        rivals: words and gain of rivals that were not taken but also improve, best first.
         sticking_excess: share of sticking rows whose torque is beyond Coulomb friction.
-        causes: keys of the effects that are needed where all that is within its tolerance may move.
-        instead: keys of effects that would do about as well in the place of the first of them.
-        predicted: torque left with up to two of ``rivals`` on top, which predict but are not claimed.
+        choice: which of them are causes.
+        lost: keys of causes that leave no less on the last part of the log, which their values have not seen.
     """
 
     shares: tuple[Share, ...]
     held_out: HeldOut
     plain: HeldOut
-    rivals: tuple[tuple[str, float], ...]
     sticking_excess: float
-    causes: tuple[str, ...] = ()
-    instead: tuple[str, ...] = ()
-    predicted: HeldOut | None = None
+    choice: JointChoice = JointChoice()
+    lost: frozenset[str] = frozenset()
+
+    @property
+    def causes(self) -> tuple[str, ...]:
+        """Keys of the causes."""
+        return self.choice.causes
 
     def share(self, key: str) -> Share | None:
         """An effect by its key."""
@@ -118,21 +142,33 @@ class JointProblem:
         self.torque = smooth[self._rows]
         self._every = smooth - motion.rigid[:, joint]
         self.left = self._every[self._rows]
+        self._change = np.gradient(smooth, motion.step_s)[self._rows]
         self.blocks = motion.blocks[self._rows]
         self.usual = usual_effects(motion, joint)
         self._filtered: dict[int, Array] = {}
         every = rival_effects(motion, joint, drive.through(motion.smooth), names)
-        # A velocity gain beside a commanded speed of zero is viscous friction: it is named with it and is no rival.
-        twins = [rival for rival in every if rival.shape == "kd" and self._is_viscous(rival)]
+        # A velocity gain beside a commanded speed of zero, or the inertia of a single link: it is named with the usual
+        # effect that has the same column, and is no rival of it.
+        twins = self._twins(every)
         self.rivals = [rival for rival in every if rival not in twins]
         self.library = [*self.usual, *self.rivals, *twins]
 
-    def _is_viscous(self, rival: Effect) -> bool:
-        """Whether its column is that of viscous friction, beyond the other usual effects."""
-        viscous = next(effect for effect in self.usual if effect.key == "viscous")
-        others = _span(self.columns([effect for effect in self.usual if effect is not viscous]))
-        direction = _span(_beyond(others, self.columns([viscous])))
-        return _cosine(others, direction, self.columns([rival])) > THRESHOLDS.equal
+    def _twins(self, rivals: list[Effect]) -> list[Effect]:
+        """Rivals whose column is that of friction or armature, beyond the other usual effects."""
+        # All of a drive's torque is like what takes most of it, and yet scales all else as well.
+        single = [
+            rival for rival in rivals if rival.parameters == 1 and (not rival.made_of_torque or rival.shape == "kd")
+        ]
+        columns = self.columns(single)
+        equal = np.zeros(len(single), dtype=bool)
+        for effect in self.usual[:-1]:
+            others = _span(self.columns([item for item in self.usual if item is not effect]))
+            direction = _span(_beyond(others, self.columns([effect])))
+            beyond = _beyond(others, columns)
+            length = np.linalg.norm(beyond, axis=0)
+            apart = length > _MOSTLY_OTHERS * np.linalg.norm(columns, axis=0)
+            equal |= apart & (np.abs(direction[:, 0] @ beyond) > THRESHOLDS.equal * length)
+        return [rival for rival, same in zip(single, equal, strict=True) if same]
 
     def columns(self, effects: list[Effect]) -> Array:
         """Filtered columns of effects in the rows that move."""
@@ -174,6 +210,7 @@ class JointProblem:
                 THRESHOLDS.inertia_tolerance * inertial,
                 THRESHOLDS.mass_tolerance * gravity,
                 THRESHOLDS.torque_tolerance * self.torque,
+                THRESHOLDS.lag_s * self._change,
             ]
         )
         scale = np.maximum(np.linalg.norm(matrix[:, free], axis=0), 1e-300)
@@ -182,27 +219,35 @@ class JointProblem:
         std[free] = np.sqrt(std[free] ** 2 + np.sum(moved**2, axis=1))
         return replace(fit, std=std)
 
-    def needed(self, in_model: dict[str, float]) -> tuple[list[Effect], tuple[str, ...]]:
-        """Effects that are needed where all that is within its tolerance may move, the largest first.
+    def space(self, in_model: dict[str, float]) -> Space:
+        """The rows about the model as given, with all effects that may be causes."""
+        rows, joint = self._rows, self.joint
+        gravity = self.motion.gravity[rows, joint]
+        inertial = self.motion.rigid[rows, joint] - gravity
+        angle = self.motion.smooth(self.motion.q[:, joint])[rows]
+        return joint_space(
+            self.left, self.torque, (angle, gravity, inertial, self._change), self.blocks, self.motion.step_s,
+            [(effect, self.columns([effect])) for effect in [*self.usual, *self.rivals]], in_model,
+        )  # fmt: skip
 
-        Returns:
-            They, and keys of those that would do about as well in the place of the first.
-        """
-        angle = self.motion.smooth(self.motion.q[:, self.joint])[self._rows]
-        gravity = self.motion.gravity[self._rows, self.joint]
-        inertial = self.motion.rigid[self._rows, self.joint] - gravity
-        usual = [(effect, self.columns([effect])) for effect in self.usual]
-        nuisances = nuisances_of(usual, in_model, (angle, gravity, inertial), self.torque)
-        chooser = Chooser(self.left, self.torque, nuisances, float(np.count_nonzero(self._rows)) * self.motion.step_s)
-        rivals = [(effect, self.columns([effect])) for effect in self.rivals]
-        least = THRESHOLDS.smallest_floor * float(np.std(self.torque))
-        # The usual effects are free here; once more with what the causes leave over, which is less where one is needed.
-        matrix = np.column_stack([columns for _, columns in usual])
-        floor = max(_rms(self.left - matrix @ np.linalg.lstsq(matrix, self.left, rcond=1e-10)[0]), least)
-        chosen = chooser.choose(self.usual, rivals, floor)
-        floor = max(chooser.floor_of(chosen, rivals, floor), least)
-        chosen = chooser.choose(self.usual, rivals, floor)
-        return chosen, chooser.instead_of_first(chosen, self.usual, rivals, floor)
+    def last_left(self, causes: list[Effect], in_model: dict[str, float]) -> float:
+        """Torque on the last part of the log that the model leaves over with causes of values from before, rms, N·m."""
+        left = self.left
+        for effect in self.usual:
+            left = left - in_model.get(effect.key, 0.0) * self.columns([effect])[:, 0]
+        early = int(_LAST_PART * len(left))
+        if not causes:
+            return _rms(left[early:])
+        matrix = self.columns(causes)
+        values = np.linalg.lstsq(matrix[:early], left[:early], rcond=1e-10)[0]
+        return _rms(left[early:] - matrix[early:] @ values)
+
+    def credible(self, effects: list[Effect], rival: Effect) -> bool:
+        """Whether a rival beside other effects is within its limits where all of them are free."""
+        values = self.fit([*effects, rival]).values[-rival.parameters :]
+        size = float(np.linalg.norm(values))
+        takes = _rms(self.columns([rival]) @ values)
+        return rival.smallest <= size <= rival.largest and (rival.made_of_torque or takes <= float(np.std(self.torque)))
 
     def excess_in_stick(self, coulomb: float) -> float:
         """Share of the rows that may stick in which the torque is beyond Coulomb friction by more than a tenth."""
@@ -227,117 +272,47 @@ def never_negative(effects: list[Effect]) -> Array:
     return np.concatenate([[effect.never_negative] * effect.parameters for effect in effects]).astype(bool)
 
 
-def explain(
-    problem: JointProblem, in_model: dict[str, float], kept: Sequence[tuple[str, str]] | None = None
-) -> JointMechanics:
-    """The usual effects, and up to three rivals that earn their place.
+def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechanics | None = None) -> JointMechanics:
+    """The usual effects with their values, and the causes that the joint needs.
 
     Args:
         problem: one joint.
         in_model: values of the usual effects in the model, by key.
-        kept: keys and shapes of effects that are taken without asking, instead of a choice.
+        kept: mechanics under another reading, whose causes are taken without asking.
     """
-    effects = list(problem.usual)
-    plain = now = problem.held_out(effects)
-    gains: list[tuple[Effect, float]] = []
-    predicted: HeldOut | None = None
-    causes: list[str] = []
-    instead: tuple[str, ...] = ()
-    if kept is not None:
-        effects += [rival for rival in problem.rivals if (rival.key, rival.shape) in kept]
-        now = problem.held_out(effects)
+    if kept is None:
+        space = problem.space(in_model)
+        chosen = Choice(space).grow(space.columns(), _CAUSES_AT_MOST, _ALIKE)
+        names = [(cause.term, cause.variant) for cause in chosen.causes]
+        choice = JointChoice(
+            tuple(key for key, _ in names), tuple(key for _, key in chosen.instead),
+            {key: chosen.probability(("", key)) for key, _ in names},
+            chosen.score - space.independent * float(np.log(np.var(problem.torque))),
+        )  # fmt: skip
     else:
-        needed, instead = problem.needed(in_model)
-        for effect in needed:
-            if effect.key in USUAL:
-                causes.append(effect.key)
-                continue
-            taken = _gains(problem, effects, now, [effect], needed=True)
-            if taken and _earns_its_place(problem, effects, effect):
-                effects.append(effect)
-                causes.append(effect.key)
-                now = taken[0][2]
-        gains, predicted = _further(problem, effects, now)
+        choice = kept.choice
+        names = [(share.effect.key, share.effect.shape) for share in kept.shares]
+    effects = list(problem.usual)
+    for name in names:
+        rival = next((item for item in problem.rivals if (item.key, item.shape) == name), None)
+        if rival is not None and (kept is not None or problem.credible(effects, rival)):
+            effects.append(rival)
     shares = _shares(problem, effects, problem.fit(effects), named=kept is None)
     coulomb = next(share.size for share in shares if share.effect.key == "coulomb")
-    runners_up: dict[str, float] = {}
-    for effect, gain in gains:
-        if effect.key not in {share.effect.key for share in shares}:
-            runners_up.setdefault(effect.words, gain)
+    # The mean of a torque is asked of no cause but its own.
+    means = [effect for effect in problem.usual if effect.key == "offset"]
+    causes = [effect for effect in effects if effect.key in choice.causes and effect not in means]
+    whole = problem.last_left([*causes, *means], in_model)
+    asked = [*causes, *(effect for effect in means if effect.key in choice.causes)]
+    lost = frozenset(
+        cause.key
+        for cause in asked
+        if whole >= problem.last_left([effect for effect in [*causes, *means] if effect is not cause], in_model)
+    )
     return JointMechanics(
-        tuple(shares), now, plain, tuple(runners_up.items())[:3], problem.excess_in_stick(coulomb),
-        tuple(causes), instead, predicted or now,
+        tuple(shares), problem.held_out(effects), problem.held_out(problem.usual),
+        problem.excess_in_stick(coulomb), choice, lost,
     )  # fmt: skip
-
-
-def _further(problem: JointProblem, effects: list[Effect], now: HeldOut) -> tuple[list[tuple[Effect, float]], HeldOut]:
-    """Effects that predict held-out motion better on top, best first with their gain, and what they leave."""
-    taken: list[Effect] = []
-    listed: list[tuple[Effect, float]] = []
-    for _ in range(_FURTHER_AT_MOST + 1):
-        chosen = {effect.key for effect in [*effects, *taken]}
-        others = [rival for rival in problem.rivals if rival.key not in chosen]
-        gains = _gains(problem, [*effects, *taken], now, others)
-        best = next((item for item in gains if _earns_its_place(problem, [*effects, *taken], item[0])), None)
-        if best is None or len(taken) == _FURTHER_AT_MOST:
-            listed += [(effect, gain) for effect, gain, _ in gains]
-            break
-        taken.append(best[0])
-        listed.append(best[:2])
-        now = best[2]
-    return listed, now
-
-
-def _gains(
-    problem: JointProblem, effects: list[Effect], now: HeldOut, rivals: list[Effect], needed: bool = False
-) -> list[tuple[Effect, float, HeldOut]]:
-    """Rivals that improve both held-out parts by a claimable share of the torque, best first.
-
-    Beside usual effects that are free, one that is needed beside those of the model may take less: it has to shrink
-    what both parts leave over. The gain is the torque that a rival takes, as a share of the joint's.
-    """
-    matrix = problem.columns(effects)
-    basis = _span(matrix)
-    unexplained = _beyond(basis, problem.left)
-    found = []
-    for rival in rivals:
-        # What a rival takes of the rows it is fitted to bounds what it can take of others.
-        column = problem.columns([rival])
-        beyond = _span(_beyond(basis, column))
-        bound = _rms(beyond @ (beyond.T @ unexplained)) / max(now.torque, 1e-300)
-        if bound < THRESHOLDS.smallest_share and not needed:
-            continue
-        after = problem.held_out([*effects, rival])
-        # What makes the torque itself smaller must shrink what is left by more than that.
-        fair = after.torque / max(now.torque, 1e-300)
-        gained = now.interleaved**2 - (after.interleaved / fair) ** 2
-        if gained > 0.0 and after.last / fair < now.last:
-            share = float(np.sqrt(gained)) / max(now.torque, 1e-300)
-            shrunk = max(after.interleaved / fair / now.interleaved, after.last / fair / now.last)
-            # What a delay of the loop does as well has to take more.
-            lesser = needed and rival.key != "jerk" and shrunk < 1.0 - THRESHOLDS.needed_gain
-            if share > THRESHOLDS.smallest_share or lesser:
-                found.append((rival, share, after))
-    return sorted(found, key=lambda item: -item[1])
-
-
-def _earns_its_place(problem: JointProblem, effects: list[Effect], rival: Effect) -> bool:
-    """Whether its coefficients are certain, and neither they nor those of the others become impossible."""
-    fit = problem.fit([*effects, rival])
-    place = 0
-    for effect in [*effects, rival]:
-        part = slice(place, place + effect.parameters)
-        place += effect.parameters
-        if not effect.smallest <= float(np.linalg.norm(fit.values[part])) <= effect.largest:
-            return False
-        added = _rms(problem.columns([effect]) @ fit.values[part])
-        if effect.key not in USUAL and not effect.made_of_torque and added > float(np.std(problem.torque)):
-            return False
-    values, std = fit.values[-rival.parameters :], fit.std[-rival.parameters :]
-    size = float(np.linalg.norm(values))
-    spread = float(np.sqrt(np.sum((values * std) ** 2))) / max(size, 1e-300)
-    before = problem.fit(effects)
-    return size > THRESHOLDS.certain * spread and int(np.sum(fit.held)) <= int(np.sum(before.held))
 
 
 def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool) -> list[Share]:
@@ -349,9 +324,12 @@ def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool)
         torque = columns @ fit.values[part]
         alike = _alike(problem, effects, effect) if named else {}
         equal = tuple(words for words, cosine in alike.items() if cosine > THRESHOLDS.equal)
+        unit = _rms(columns[:, 0])
         impossible = float(np.sum(fit.negative[part]))
+        if abs(impossible) * unit < MARGIN * float(np.std(problem.torque)):
+            impossible = 0.0
         shares.append(
-            Share(effect, fit.values[part], fit.std[part], _rms(torque), tuple(alike), equal, impossible)
+            Share(effect, fit.values[part], fit.std[part], _rms(torque), unit, tuple(alike), equal, impossible)
         )  # fmt: skip
     return shares
 

@@ -190,7 +190,7 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
             if not share.effect.made_of_torque or share.effect.key not in best.causes:
                 continue
             name = verdict.joint.name
-            bodies = _OF_BODIES & set(best.instead) if share.effect.key == best.causes[0] else set()
+            bodies = _OF_BODIES & set(best.choice.instead) if share.effect.key == best.causes[0] else set()
             value = value_text(share.size, share.size_std, share.effect.unit if share.effect.unit != "1" else "")
             if share.effect.key == "saturation":
                 sentence = f"{name}: the drive's torque ends at {share.effect.shape}; the computed one goes beyond."
@@ -228,8 +228,6 @@ _OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
 _GAINS = {"kp": "position", "kd": "velocity"}
 _DISTURBING = 0.15
 """Torque left over in a joint, as a share, from which others beside it pay for its motion."""
-_ABOVE_WHAT_IS_LEFT = 0.7
-"""A claim takes at least so much of the torque against what stays without a name."""
 _TOLERANCES = {
     "coulomb": THRESHOLDS.coulomb_tolerance,
     "viscous": THRESHOLDS.damping_tolerance,
@@ -253,7 +251,6 @@ def joint_verdict(
     """
     best = results[0]
     in_model = values_in_model(joint)
-    explained = best.held_out.interleaved < THRESHOLDS.unexplained * best.held_out.torque
     terms = []
     for share in best.shares:
         key = share.effect.key
@@ -267,8 +264,7 @@ def joint_verdict(
         difference = share.size - reference
         # Each reading of the log by itself has to differ: their spread is a bound and no standard deviation.
         nearest = min((size - reference) * np.sign(difference) for size in sizes)
-        unit_rms = share.rms / abs(share.size) if share.size else 0.0
-        part = abs(difference) * unit_rms / max(best.held_out.torque, 1e-300)
+        part = abs(difference) * share.unit_rms / max(best.held_out.torque, 1e-300)
         tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
         differs = (
             part > THRESHOLDS.smallest_share
@@ -279,9 +275,8 @@ def joint_verdict(
             and key in best.causes
             and key not in _OF_FIRST_ORDER
             and not (key in _OF_INERTIA and _OF_FIRST_ORDER & set(best.causes))
-            and explained
+            and not any(key in result.lost for result in results)
             and not (key == "offset" and _WITH_A_MEAN & set(best.causes))
-            and part > best.held_out.interleaved / max(best.held_out.torque, 1e-300) * _ABOVE_WHAT_IS_LEFT
             and not share.effect.made_of_torque
         )
         words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
@@ -291,7 +286,7 @@ def joint_verdict(
         )  # fmt: skip
     # An offset is what other terms leave of their mean: it stands behind them.
     terms.sort(key=lambda term: (not term.differs, term.key == "offset", -term.share))
-    after = best.predicted or best.held_out
+    after = best.held_out
     unchanged = _left_by_model(motion, number, best, in_model)
     return JointVerdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
@@ -349,13 +344,9 @@ def _left_by_model(motion: Motion, number: int, best: JointMechanics, in_model: 
 
 def _remains(best: JointMechanics) -> str:
     """What is left over, and what it may be."""
-    after = best.predicted or best.held_out
+    after = best.held_out
     share = after.interleaved / max(after.torque, 1e-300)
     words = f"{percent(share)} of the torque"
-    if share >= THRESHOLDS.unexplained:
-        words += ", too much for any claim"
-    if best.rivals:
-        words += f"; predicts better, but is not claimed: {', '.join(name for name, _ in best.rivals)}"
     if best.sticking_excess > 0.5:
         words += "; torque in rows that stick is beyond Coulomb friction (breakaway or pre-sliding, not told)"
     return words

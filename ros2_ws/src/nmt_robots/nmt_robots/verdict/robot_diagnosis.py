@@ -404,6 +404,9 @@ def _understood(
             for number in movers
         }
 
+    def score(found: dict[int, JointMechanics]) -> float:
+        return float(sum(item.choice.score for item in found.values()))
+
     def left(found: dict[int, JointMechanics]) -> float:
         return float(np.mean([(item.held_out.interleaved / item.held_out.torque) ** 2 for item in found.values()]))
 
@@ -411,16 +414,15 @@ def _understood(
     first = explained(readings[0])
     if readings[0] != Reading():
         plain = explained(Reading())
-        if left(plain) < (1.0 + THRESHOLDS.fits_as_well) * left(first):
+        if score(plain) < score(first) or left(plain) < (1.0 + THRESHOLDS.fits_as_well) * left(first):
             alike = [item for item in readings if item != Reading() and scores.alike(item, Reading())]
             readings, first = [Reading(), *alike], plain
     results = {number: [first[number]] for number in movers}
     for reading in readings[1:]:
         signals = drive.signals(reading)
         for number in movers:
-            kept = [(share.effect.key, share.effect.shape) for share in first[number].shares]
             problem = JointProblem(motion, number, signals.of(number), names)
-            results[number].append(explain(problem, believed[number], kept))
+            results[number].append(explain(problem, believed[number], first[number]))
     return readings, results
 
 

@@ -1,0 +1,1 @@
+"""Choice among causes that are columns about one fit."""

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from diagnose.court.small_rigs import backbone, diagnosed, one_mode_rig
 from tiers import with_quick
 
 from nmt_core.errors import BenchError
+from nmt_diagnose.law.reading import LawReading, LocalLaw
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Ranked, Recalibrated, Share, Value, Verdict
+from nmt_diagnose.say.sentences import UNITS_FIRST
 from nmt_diagnose.units.random_effects import COVERAGE, FALSE_ALARM, Estimate, components
 from nmt_diagnose.units.unit_group import UnitDiagnosis, unit_group
 from nmt_diagnose.units.unit_table import read_unit_table
@@ -165,6 +169,22 @@ def test_the_odd_one_and_the_one_without_the_effect_are_named():
     sentences = unit_group(some, "").sentences
     assert "2 of 3 units: cubic stiffness at point 3 (leg 1, leg 2)." in sentences
     assert "1 of 3 units: no effect is missing (leg 3)." in sentences
+
+
+def test_units_that_a_law_tells_and_a_channel_in_another_unit_are_named():
+    law = LocalLaw(3, 0, "dry friction", (), 1e-3, (), ())
+    reading = LawReading("leg", 5, (law,), 9.0, 1.0, 0.9, 0.9, (), closed_by_file=0.8)
+    lawful = [UnitDiagnosis(f"leg {k}", "", replace(diagnosis(Verdict.UNKNOWN), law=reading)) for k in (1, 2)]
+    words = "a force like dry friction (point 3), which no effect of the library explains"
+    assert unit_group(lawful, "").sentences[0] == f"All 2 units: one force for all, {words}."
+    sentence = "leg_3: f1 is 4.45 times what the model predicts: lbf?"
+    turned = replace(diagnosis(Verdict.UNKNOWN), sentences=(sentence, UNITS_FIRST))
+    group = unit_group([*lawful, UnitDiagnosis("leg 3", "", turned)], "")
+    assert f"2 of 3 units: {words} (leg 1, leg 2)." in group.sentences
+    assert "1 of 3 units: a channel has another unit or sign than the model predicts (leg 3)." in group.sentences
+    assert f"leg 3: {sentence}" in group.sentences
+    assert "known cause" not in " ".join(group.sentences)
+    assert "another unit or sign" in group_page("leg", "a leg", group, [])
 
 
 def test_scatter_of_mounting_is_compared_with_the_effect():

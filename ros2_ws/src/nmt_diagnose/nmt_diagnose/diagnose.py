@@ -54,7 +54,7 @@ from nmt_diagnose.say.result_rows import (
     place_rows,
     ranked_rows,
 )
-from nmt_diagnose.say.sentences import likeness, relieving, sentences
+from nmt_diagnose.say.sentences import UNITS_FIRST, likeness, relieving, sentences
 from nmt_diagnose.search.findings import find
 from nmt_diagnose.search.memory import Memory
 from nmt_diagnose.search.progress import Progress
@@ -428,7 +428,7 @@ def _sentences(
         text = (contradicts, *text)
     if findings.factors:
         named_factors = (found.sentence for found in findings.factors)
-        text = (*named_factors, "Effects are judged once units and signs of the recording are right.")
+        text = (*named_factors, UNITS_FIRST)
         return text, (), tuple(found.place for found in findings.factors)
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])

@@ -34,6 +34,10 @@ PLACES = {
 }
 
 
+UNITS_FIRST = "Effects are judged once units and signs of the recording are right."
+"""Last sentence of a diagnosis that ends with channels of another unit or sign than the model predicts."""
+
+
 def sentences(
     verdict: Verdict,
     where: Sequence[PlaceShare],

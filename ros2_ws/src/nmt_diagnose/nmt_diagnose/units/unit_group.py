@@ -10,13 +10,18 @@ from typing import Any
 from nmt_core.text.number_words import value_text
 from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Value, Verdict
-from nmt_diagnose.say.sentences import detail_words
+from nmt_diagnose.say.sentences import UNITS_FIRST, detail_words
 from nmt_diagnose.units.random_effects import Components, Estimate, components
 
 _ALIKE = 0.05
 # Of a standard uncertainty, that no two units share.
 _LEAST_ALONE = 0.01
-_NAMED = {"none": "no effect is missing", "unknown": "the cause is unknown"}
+_NAMED = {
+    "none": "no effect is missing",
+    "unknown": "the cause is unknown",
+    "channel": "a channel has another unit or sign than the model predicts",
+}
+_LAW = "law of "
 _WITHIN = {"mounting": "re-mounting", "day": "one day to another", "repeat": "one repeat to another", "": "settings"}
 
 
@@ -56,7 +61,8 @@ class UnitGroup:
 
     Attributes:
         units: names, in the order of the table.
-        explanations: what each diagnosis named: ``none``, ``unknown``, or effect and place.
+        explanations: what each diagnosis named: ``none``, ``unknown``, ``channel`` (another unit or sign), the law of
+            a force that no effect has, or effect and place.
         quantities: parameters that two units or more have, those of effects first.
         sentences: the verdict.
         varied: what differs within units: mounting, day, repeat, or nothing.
@@ -108,7 +114,13 @@ def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
         for row in diagnosis.calibration:
             to = Value(row.to, row.std, row.unit, row.shared_std)
             stated.append(Stated(row.name, False, row.start, each.unit, each.setting, to))
-    return grouped(explanations, of_explanations(explanations), stated, varied)
+    channels = [
+        f"{each.unit}{f', {each.setting}' if each.setting else ''}: {sentence}"
+        for each, (_, _, label) in zip(diagnoses, explanations, strict=True)
+        if label == "channel"
+        for sentence in each.diagnosis.sentences[:-1]
+    ]
+    return grouped(explanations, [*of_explanations(explanations), *channels], stated, varied)
 
 
 def grouped(
@@ -144,6 +156,10 @@ def grouped(
 
 def explanation_words(label: str) -> str:
     """What a diagnosis named, for people: ``cubic_stiffness@2`` is cubic stiffness at point 2."""
+    if label.startswith(_LAW):
+        return f"a force like {label.removeprefix(_LAW)}, which no effect of the library explains"
+    if label == "channel":
+        return _NAMED[label]
     effect, _, where = label.partition("@")
     places = [detail_words(part) for part in where.split(" + ")] if where else []
     at = " and ".join(dict.fromkeys(place for place in places if place))
@@ -151,6 +167,10 @@ def explanation_words(label: str) -> str:
 
 
 def _label(diagnosis: Diagnosis) -> str:
+    if diagnosis.law is not None and diagnosis.law_leads:
+        return _LAW + " and ".join(f"{law.family} ({detail_words(law.place)})" for law in diagnosis.law.laws)
+    if diagnosis.sentences[-1:] == (UNITS_FIRST,):
+        return "channel"
     if diagnosis.verdict is not Verdict.EFFECT or not diagnosis.ranking:
         return "unknown" if diagnosis.verdict.gap else "none"
     head = diagnosis.ranking[0]
@@ -170,8 +190,9 @@ def of_explanations(explanations: Sequence[tuple[str, str, str]]) -> list[str]:
     labels = {label for found in by_unit.values() for label in found}
     if len(labels) == 1:
         (label,) = labels
-        words = {"none": "none lacks an effect", "unknown": "none has a known cause"}
-        return [f"All {len(units)} units: {words.get(label, f'one effect for all, {explanation_words(label)}')}."]
+        words = {"channel": _NAMED["channel"], "none": "none lacks an effect", "unknown": "none has a known cause"}
+        kind = "force" if label.startswith(_LAW) else "effect"
+        return [f"All {len(units)} units: {words.get(label) or f'one {kind} for all, {explanation_words(label)}'}."]
     sentences = []
     for label in sorted(labels):
         having = [unit for unit, found in by_unit.items() if label in found]

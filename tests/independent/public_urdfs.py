@@ -26,9 +26,11 @@ import numpy as np
 
 RATE_HZ, SECONDS, JOINTS = 500, 20, 12
 PLANTED = 0.25
-"""Coulomb friction that is added at one joint, of the rms torque."""
+BEYOND = 0.5
+"""Coulomb friction that is added at one joint, of the rms torque, and more of what the file states (its tolerance)."""
 SMALLEST = 1e-3
-"""Torque (rms, N·m) of a joint that something can be planted at."""
+SLOWEST = 0.1
+"""Torque (rms, N·m) and speed (rms, rad/s) of a joint that friction can be planted at."""
 
 
 def installed_urdfs() -> Path:
@@ -102,11 +104,13 @@ def make_case(urdf: Path, folder: Path, random: np.random.Generator) -> dict[str
             torque[:, column] += float(dynamics.get("damping", 0.0)) * speed[:, column]
             torque[:, column] += float(dynamics.get("friction", 0.0)) * np.sign(speed[:, column])
     size = np.sqrt(np.mean(torque**2, axis=0))
-    able = [column for column in range(len(names)) if rms[column] > SMALLEST]
+    able = [k for k in range(len(names)) if rms[k] > SMALLEST and float(np.std(speed[:, k])) > SLOWEST]
     truth: dict[str, Any] = {"joints": names, "at": "", "friction": 0.0}
     if able:
         column = able[len(able) // 2]
-        truth |= {"at": names[column], "friction": PLANTED * float(size[column])}
+        dynamics = elements[names[column]].find("dynamics")
+        stated = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
+        truth |= {"at": names[column], "friction": PLANTED * float(size[column]) + BEYOND * stated}
         torque[:, column] += truth["friction"] * np.sign(speed[:, column])
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_bytes(urdf.read_bytes())

@@ -18,6 +18,9 @@ from nmt_rig.rig import ROBOT_ENDINGS
 from nmt_robots.model.compilation import RobotFile, compiled, read_robot
 from nmt_robots.model.coupling import Array, Follower, followers
 
+_MOST_TESTS = 200_000_000
+"""Of pairs of shapes that are looked at for contacts, over all poses."""
+
 
 def is_robot_file(name: str | Path) -> bool:
     """Whether a model is a robot's file and no rig."""
@@ -246,13 +249,16 @@ class RobotModel:
     def touching(self, names: tuple[str, ...], q: Array) -> tuple[float, tuple[str, str]]:
         """Share of poses (rows × J) in which the model's shapes touch, and the two bodies that do so most often.
 
-        Meshes are not among the shapes. Joints that are not named and a base that floats are where the file has them.
+        Meshes are not among the shapes; where there are very many, fewer poses are looked at. Joints that are not named
+        and a base that floats are where the file has them.
         """
         mujoco, model, data = self._mujoco, self._model, self._data
         flag = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
         model.opt.disableflags &= ~flag
         pairs: list[tuple[str, str]] = []
         poses = 0
+        tests = max(int(model.ngeom) ** 2, 1)
+        q = q[:: -(-len(q) * tests // _MOST_TESTS)] if tests <= _MOST_TESTS and len(q) else q[:0]
         for row in q:
             self._put(names, row)
             mujoco.mj_collision(model, data)

@@ -14,6 +14,8 @@ from nmt_core.errors import BenchError
 from nmt_record.exchange.import_table import read_table
 from nmt_record.exchange.imports.imported_run import ImportedRun, read_import
 from nmt_record.exchange.templates.sidecar_template import sidecar_templates
+from nmt_record.exchange.text import text_table
+from nmt_record.exchange.text.text_table import read_text_table
 
 RATE, COUNT = 1000.0, 3000
 TIME = np.arange(COUNT) / RATE
@@ -191,3 +193,30 @@ def test_a_name_that_may_be_two_quantities_follows_the_unit(tmp_path: Path) -> N
         ["Time,Laser,Acc", "s,mm/s,g", *(f"{TIME[k]},{WAVE[k]},{rate[k]:.9g}" for k in range(COUNT))],
     )
     assert [channel.name for channel in run.channels] == ["v1", "a1"]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_long_table_of_plain_numbers_is_that_of_its_lines(seed, tmp_path, monkeypatch):
+    """Whatever its heading and delimiter, a text beyond the usual limit gives the same columns, names, units, lines."""
+    generator = np.random.default_rng(seed)
+    delimiter, end = generator.choice([",", ";", "\t"]), generator.choice(["\n", "\r\n"])
+    values = generator.normal(size=(400, int(generator.integers(2, 6)))) * 10.0 ** generator.integers(-9, 6)
+    values[:, 0] = np.arange(400) / 1000.0
+    heads = ["time [s]", *(f"a{k} [m/s^2]" for k in range(1, values.shape[1]))]
+    above = ["# a comment", "recorded by a program"][: int(generator.integers(0, 3))]
+    lines = [*above, delimiter.join(heads), *(delimiter.join(map(repr, map(float, row))) for row in values)]
+    path = tmp_path / "long.csv"
+    path.write_bytes((end.join(lines) + end).encode())
+    usual = read_text_table(path)
+    monkeypatch.setattr(text_table, "_LARGEST", 4000)
+    monkeypatch.setattr(text_table, "_HEAD", 3000)
+    long = read_text_table(path)
+    assert np.array_equal(long.columns, usual.columns)
+    assert np.array_equal(np.array(long.columns).T, values)
+    assert (long.names, long.units, long.notes) == (usual.names, usual.units, usual.notes)
+    assert [long.lines(row) for row in (0, 17, 399)] == [usual.lines(row) for row in (0, 17, 399)]
+    for broken in ("1,2", "x", "1,000.5;3"):
+        path.write_bytes((end.join([*lines[:300], broken, *lines[300:]]) + end).encode())
+        with pytest.raises(BenchError, match="plain numbers only") as caught:
+            read_text_table(path)
+        assert "\n" not in str(caught.value)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.files.hardened import LARGEST_TABLE, open_regular
+from nmt_core.files.hardened import LARGEST_ARRAYS, LARGEST_TABLE, open_regular
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.clocks.text_stamps import StampReader, date_columns, is_date, is_stamp, joined_stamps
 from nmt_record.exchange.source_table import AS_IT_IS, Scaling, SourceTable
@@ -22,6 +24,9 @@ _MOST_ROWS_ACROSS = 64  # of a table whose channels are rows
 _FEWEST_ACROSS = 100  # numbers in each of them
 _LONGEST_FOOT = 30  # lines behind the numbers
 _LONGEST_HEAD = 200  # lines before them
+_LARGEST = LARGEST_TABLE // 2  # bytes of a text whose lines are all looked at
+_LARGEST_PLAIN = 2 * LARGEST_TABLE  # of one that has plain numbers only
+_HEAD = 2**18  # of its bytes that are read as any text
 
 
 def decoded(data: bytes, name: str, notes: list[str]) -> str:
@@ -56,9 +61,47 @@ def read_text_table(path: Path) -> SourceTable:
     """
     name = path.name
     notes: list[str] = []
-    with open_regular(path, "table", LARGEST_TABLE // 2) as file:
+    with open_regular(path, "table", _LARGEST_PLAIN) as file:
+        if os.fstat(file.fileno()).st_size > _LARGEST:
+            return _plain_table(file, path)
         text = joined_stamps(decoded(file.read(LARGEST_TABLE), name, notes))
     return _Text(name, re.split(r"\r\n|\n|\r", text), notes, '"' in text).table()
+
+
+def _plain_table(file: IO[bytes], path: Path) -> SourceTable:
+    """Columns of a long text that behind its heading has plain numbers only, such as an export; its lines are not kept.
+
+    Its beginning is read as any text; the rest has to be of the same numbers, which numpy reads by itself.
+
+    Raises:
+        BenchError: as :func:`read_text_table`, or something else stands in it.
+    """
+    size = os.fstat(file.fileno()).st_size / 2**20
+    refusal = (
+        f"{path.name} has {size:.1f} MiB, and beyond {_LARGEST / 2**20:g} MiB a table may have plain numbers only, "
+        "with one delimiter, behind its heading; cut it into shorter files, or save it as NPZ"
+    )
+    notes: list[str] = []
+    head = decoded(file.read(_HEAD), path.name, notes)
+    text = _Text(path.name, re.split(r"\r\n|\n|\r", head[: head.rfind("\n")]), notes, '"' in head)
+    begin = text.table()
+    if notes or begin.lines is None or begin.stamps or begin.parts or begin.breaks:
+        raise BenchError(f"{refusal}.")
+    width, rows = len(begin.columns), begin.columns[0].size
+    most = LARGEST_ARRAYS // (8 * width)
+    try:
+        found = np.loadtxt(
+            path, delimiter=text.form.delimiter, skiprows=begin.lines(0) - 1, comments=None, ndmin=2, max_rows=most,
+            encoding="utf-8",
+        )  # fmt: skip
+    except ValueError as error:
+        raise BenchError(f"{refusal} ({error}).") from error
+    alike = found.shape[1] == width and np.array_equal(found[:rows].T, np.array(begin.columns), equal_nan=True)
+    if not alike or len(found) == most or np.isinf(found).any():
+        raise BenchError(f"{refusal}.")
+    first = begin.lines(0)
+    columns = tuple(np.ascontiguousarray(column) for column in found.T)
+    return replace(begin, columns=columns, lines=lambda row: first + row)
 
 
 def _is_comment(line: str) -> bool:

@@ -75,6 +75,7 @@ def make_case(urdf: Path, folder: Path, random: np.random.Generator) -> dict[str
         if joint.nq == 1:
             low = max(float(model.lowerPositionLimit[joint.idx_q]), -3.0)
             high = min(float(model.upperPositionLimit[joint.idx_q]), 3.0)
+        low, high = (low, high) if low < high else (-1.0, 1.0)
         motions[name] = sines(random, 0.5 * (low + high), min(0.3 * (high - low), 0.6))
     gains = {name: {name: 1.0} for name in names}
     for name, mimic in mimics.items():

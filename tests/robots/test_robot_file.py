@@ -19,6 +19,7 @@ from nmt_core.errors import BenchError
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
 from nmt_robots.model.robot_model import RobotModel
+from nmt_robots.model.robot_simulation import RobotSimulation
 from nmt_robots.verdict.file_findings import file_findings
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -187,6 +188,20 @@ def test_a_coupled_joint_moves_with_its_master_and_gives_it_its_torque(tmp_path:
     )
     sentences = {item.key: item.sentence for item in file_findings(coupled, ("lift",))}
     assert sentences["file_coupled"].startswith("level moves -0.7 times as far as lift")
+
+
+def test_a_simulated_coupling_has_the_inertia_and_weight_of_both_links(tmp_path: Path) -> None:
+    model = arm(tmp_path, '<mimic joint="lift" multiplier="-0.7" offset="0.3"/>')
+    simulation = RobotSimulation(model, ("lift",), 2e-4)
+    pose, still, one = np.array([0.4]), np.zeros((1, 1)), np.ones((1, 1))
+    weight = model.torque(("lift",), pose[None], still, still)[0]
+    inertia = model.torque(("lift",), pose[None], still, one)[0] - weight
+    simulation.set_joints(np.zeros(1), np.zeros(1))
+    simulation.reset(pose, np.zeros(1))
+    np.testing.assert_allclose(simulation.body_torques()[0], weight, rtol=1e-9)
+    for _ in range(50):
+        simulation.advance(weight + 0.2 * inertia, np.zeros(1))
+    np.testing.assert_allclose(simulation.speed, 0.2 * 50 * 2e-4, rtol=0.02)
 
 
 def test_the_same_coupling_in_mjcf(tmp_path: Path) -> None:

@@ -311,7 +311,7 @@ class _Draft:
 
     def _gains_of_model(self) -> str:
         """What the model's own drives have, in words."""
-        every = _model_gains(self.model)
+        every = self.model.drive_gains
         stated = [f"{joint} {kp:.6g} and {kd:.6g}" for joint, kp, kd in every if joint in self._joints]
         return f"; the model states {', '.join(stated)}" if stated else ""
 
@@ -566,8 +566,3 @@ def _is_law(terms: list[Array], torque: Array) -> bool:
             solution = np.linalg.lstsq(matrix, torque[:, joint], rcond=None)[0]
             left.append(float(np.std(torque[:, joint] - matrix @ solution)) / size)
     return bool(left) and float(np.median(left)) < THRESHOLDS.exact
-
-
-def _model_gains(model: RobotModel) -> list[tuple[str, float, float]]:
-    """Joint, position gain and speed gain of the model's drives that hold positions."""
-    return list(getattr(model, "drive_gains", ()))

@@ -105,6 +105,20 @@ class RobotModel:
         """Of the joints, in the order of the model."""
         return tuple(self._numbers)
 
+    @property
+    def drive_gains(self) -> list[tuple[str, float, float]]:
+        """Joint, position gain and speed gain of drives that hold positions, N·m/rad and N·m·s/rad (N/m, N·s/m)."""
+        model, affine = self._model, int(self._mujoco.mjtBias.mjBIAS_AFFINE)
+        held = {
+            int(model.actuator_trnid[drive, 0]): np.array(model.actuator_biasprm[drive])
+            * float(model.actuator_gear[drive, 0]) ** 2
+            for drive in range(model.nu)
+            if int(model.actuator_trntype[drive]) == int(self._mujoco.mjtTrn.mjTRN_JOINT)
+            and int(model.actuator_biastype[drive]) == affine
+        }
+        stated = ((name, held[number]) for name, number in self._numbers.items() if number in held)
+        return [(name, -float(bias[1]), -float(bias[2])) for name, bias in stated if bias[1] < 0.0]
+
     def chosen(self, names: tuple[str, ...]) -> tuple[Joint, ...]:
         """Joints by name.
 

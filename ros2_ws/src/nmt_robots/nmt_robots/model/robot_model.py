@@ -18,6 +18,9 @@ from nmt_rig.rig import ROBOT_ENDINGS
 from nmt_robots.model.compilation import RobotFile, compiled, read_robot
 from nmt_robots.model.coupling import Array, Follower, followers
 
+_NOTHING = np.empty(0)
+"""In the place of what an older MuJoCo has not."""
+
 _MOST_TESTS = 200_000_000
 """Of pairs of shapes that are looked at for contacts, over all poses."""
 
@@ -82,10 +85,10 @@ class RobotModel:
             **self.file.others,
         }
         self._refuse_without_drives(len(free))
-        for values in (model.dof_damping, model.dof_dampingpoly, model.dof_frictionloss, model.dof_armature):
-            values[:] = 0.0
-        for values in (model.tendon_damping, model.tendon_dampingpoly, model.tendon_frictionloss):
-            values[:] = 0.0
+        for what in ("damping", "dampingpoly", "frictionloss", "armature"):
+            getattr(model, f"dof_{what}", _NOTHING)[:] = 0.0
+        for what in ("damping", "dampingpoly", "frictionloss"):
+            getattr(model, f"tendon_{what}", _NOTHING)[:] = 0.0
         flags = mujoco.mjtDisableBit
         model.opt.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT | flags.mjDSBL_FRICTIONLOSS)
         self._data = mujoco.MjData(model)

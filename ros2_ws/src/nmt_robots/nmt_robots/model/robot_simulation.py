@@ -38,7 +38,7 @@ class RobotSimulation:
         model.opt.disableflags &= ~int(flags.mjDSBL_FRICTIONLOSS)
         model.dof_solref[:] = (2.0 * step_s, 1.0)
         model.eq_solref[:] = (2.0 * step_s, 1.0)
-        model.dof_dampingpoly[:] = 0.0
+        getattr(model, "dof_dampingpoly", np.empty(0))[:] = 0.0
         numbers = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in everyone]
         self._all_places, self._all_dofs = model.jnt_qposadr[numbers], model.jnt_dofadr[numbers]
         self._places, self._dofs = self._all_places[: len(names)], self._all_dofs[: len(names)]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -34,6 +36,51 @@ def test_ctrl_c_while_a_kernel_hands_over_its_result_is_ctrl_c() -> None:
         raise SystemError("returned a result with an exception set") from KeyboardInterrupt()
     with pytest.raises(SystemError), terminate_as_interrupt():
         raise SystemError("of another cause") from ValueError()
+
+
+KERNELS = """
+import os, signal, threading, time
+from typing import NamedTuple
+import numba, numpy as np
+from nmt_bench.orchestration.interrupts import raise_interrupt
+class Pair(NamedTuple):
+    value: float
+    array: np.ndarray
+@numba.njit
+def pair(given):
+    return Pair(given.value + 1.0, given.array), given.array
+given = Pair(1.0, np.zeros(3))
+pair(given)
+working, came = False, 0
+def handle(number, frame):
+    if working:
+        raise_interrupt(number, frame)
+signal.signal(signal.SIGINT, handle)
+def interrupt():
+    for _ in range(150):
+        time.sleep(0.004)
+        os.kill(os.getpid(), signal.SIGINT)
+thread = threading.Thread(target=interrupt)
+thread.start()
+while thread.is_alive():
+    try:
+        working = True
+        while thread.is_alive():
+            for _ in range(50):
+                pair(given)
+        working = False
+    except KeyboardInterrupt:
+        working = False
+        came += 1
+print(came)
+"""
+
+
+def test_an_interrupt_never_breaks_into_what_numba_makes_of_a_result() -> None:
+    """With Python's handler such a program ends by a SystemError or by SIGSEGV."""
+    found = subprocess.run([sys.executable, "-c", KERNELS], capture_output=True, text=True, timeout=100, check=False)
+    assert found.returncode == 0, found.stderr[-500:]
+    assert int(found.stdout) > 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

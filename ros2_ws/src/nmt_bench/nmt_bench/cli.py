@@ -21,6 +21,7 @@ import importlib.util
 import os
 import re
 import resource
+import signal
 import sys
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -35,7 +36,7 @@ from nmt_bench.command_parser import (
     CommandParser,
     CommandRefusal,
 )
-from nmt_bench.orchestration.interrupts import interrupts_of_kernels
+from nmt_bench.orchestration.interrupts import interrupts_of_kernels, raise_interrupt
 from nmt_core.bench_version import bench_version
 from nmt_core.errors import BenchError, FailedError
 from nmt_core.processes.process_end import end_process
@@ -170,6 +171,8 @@ def build_parser(*wanted: str | None, further: Mapping[str, str] | None = None) 
 
 def program() -> NoReturn:
     """The command line as a process of its own."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, raise_interrupt)
     gc.set_threshold(50_000, 20, 50)  # by default the collector takes a seventh of the time in which figures are drawn
     end_process(main())
 

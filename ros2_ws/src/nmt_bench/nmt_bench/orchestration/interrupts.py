@@ -8,9 +8,30 @@ import signal
 import sys
 import threading
 from collections.abc import Iterator
+from types import FrameType
 from typing import Any
 
+_MOMENT = 1e-3  # s
 _ALL = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def raise_interrupt(number: int, frame: FrameType | None) -> None:
+    """Handler of a signal that interrupts.
+
+    Where it comes while numba makes Python objects of a result, which is not prepared for an exception, it acts a
+    moment later: a named tuple that is not made would end the process.
+
+    Raises:
+        KeyboardInterrupt: otherwise.
+    """
+    inner = frame
+    while inner is not None:
+        name = str(inner.f_globals.get("__name__", ""))
+        if name in ("numba.core.serialize", "collections") or name.startswith("namedtuple_"):
+            threading.Timer(_MOMENT, os.kill, (os.getpid(), number)).start()
+            return
+        inner = inner.f_back
+    raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
@@ -34,10 +55,10 @@ def terminate_as_interrupt() -> Iterator[None]:
     What is ignored, as SIGHUP under ``nohup``, stays ignored.
     """
 
-    def interrupt(number: int, _: object) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         if number == signal.SIGHUP:
             _leave_terminal()
-        raise KeyboardInterrupt
+        raise_interrupt(number, frame)
 
     with _handled((signal.SIGTERM, signal.SIGHUP), interrupt), interrupts_of_kernels():
         yield

@@ -147,10 +147,10 @@ def test_a_target_is_not_explained_by_making_it_small() -> None:
     noise = 0.05 * rng.standard_normal(ROWS)
     half = space_of(0.5 * target + noise, rng, target=target)
     assert [cause.term for cause in Choice(half).grow([part], 2).causes] == ["factor"]
-    whole = space_of(target + 0.3 * other, rng, target=target + other)
+    mixed_up = space_of(target + 0.3 * other, rng, target=target + other)
     scaled = Columns("", "factor", (target + other)[:, None], of_target=True)
-    assert Choice(whole).gain([scaled])[0] > 10.0
-    assert Choice(whole).grow([scaled], 2).causes == ()
+    assert Choice(mixed_up).gain([scaled])[0] > 10.0
+    assert Choice(mixed_up).grow([scaled], 2).causes == ()
 
 
 def test_equal_columns_share_their_probability_and_stand_for_each_other() -> None:

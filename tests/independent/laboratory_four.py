@@ -53,6 +53,8 @@ FAULTS: dict[str, tuple[str, ...]] = {
 }
 """By fault of the log: findings that name it."""
 UNKNOWN = ("temperature", "band", "hose")
+NAMED: dict[str, tuple[str, ...]] = {"temperature": ("changing_friction",)}
+"""Terms that name what no row of the library has as a whole."""
 ROBOTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "arm": (("base", "shoulder", "elbow"), ("0 0 1", "0 1 0", "0 1 0")),
     "leg": (("hip", "thigh", "calf"), ("1 0 0", "0 1 0", "0 1 0")),
@@ -265,7 +267,7 @@ def sidecar_of(names: tuple[str, ...], measured: bool) -> dict[str, Any]:
 
 def _as_truth(cause: Cause, names: tuple[str, ...], links: list[dict[str, Any]]) -> dict[str, Any]:
     """A cause as ``truth.yaml`` has it."""
-    named, partly = EFFECTS.get(cause.name, (FAULTS.get(cause.name, ()), ()))
+    named, partly = EFFECTS.get(cause.name, (FAULTS.get(cause.name, NAMED.get(cause.name, ())), ()))
     where = cause.name in FAULTS
     truth: dict[str, Any] = {
         "name": cause.name, "of": "log" if where else "joint",

@@ -158,3 +158,45 @@ def test_a_speed_of_one_joint_with_a_factor_may_be_the_clock(tmp_path: Path) -> 
 def test_the_model_keeps_its_values_apart(tmp_path: Path) -> None:
     (joint,) = RobotModel(robot_file(tmp_path)).joints
     assert values_in_model(joint) == IN_MODEL
+
+
+def test_friction_that_falls_with_speed_is_told_over_the_speeds_of_the_log(tmp_path: Path) -> None:
+    """A bell of friction: its height at rest lies outside of the log, its fall between two speeds of it does not."""
+    np.savez(tmp_path / "log.npz", **log_columns(more=lambda q, v: np.sign(v) * 1.2 * np.exp(-((v / 0.25) ** 2))))
+    diagnosis = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")
+    (term,) = [term for term in diagnosis.joints[0].terms if term.differs]
+    slow, fast = (float(word) for word in term.words.split(" from ")[1].split(" rad/s")[0].split(" to "))
+    fall = 1.2 * (np.exp(-((slow / 0.25) ** 2)) - np.exp(-((fast / 0.25) ** 2)))
+    assert 0.06 <= slow < 0.25 < 0.5 < fast
+    assert abs(term.value - fall) < 2.5 * term.std < 0.3
+
+
+@pytest.mark.parametrize("late", [0.3, 0.9])
+def test_friction_that_changes_over_the_log_is_no_constant(tmp_path: Path, late: float) -> None:
+    """A drive that warms within 8 s from 0.9 N·m: told with both ends, and silent where it does not change."""
+    asked = problem(tmp_path)
+    rows = np.flatnonzero(asked._rows)
+    speed = np.sign(asked.motion.v[rows, 0])
+    change = (late - 0.5) + (0.9 - late) * np.exp(-rows * asked.motion.step_s / 8.0)
+    asked.left = asked.left + change * speed
+    found = explain(asked, IN_MODEL)
+    share = found.share("changing_friction")
+    if late == 0.9:
+        assert found.causes == ("coulomb",)
+        return
+    assert share is not None
+    assert share.fall is not None
+    start, end = (float(word) for word in share.fall.words.split(" from ")[1].split(" N·m")[0].split(" to "))
+    assert start == pytest.approx(0.9, abs=0.05)
+    assert end == pytest.approx(late + 0.6 * np.exp(-3.0), abs=0.04)
+    assert abs(share.fall.size - (start - end)) < 0.03
+
+
+def test_a_cause_that_leaves_much_is_named_in_part(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **log_columns(coulomb=1.4, more=lambda q, v: 1.2 * np.sin(150.0 * q)))
+    joint = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz").joints[0]
+    assert not joint.adequate
+    assert "coulomb" in {term.key for term in joint.terms if term.differs}
+    assert "in part" in joint.difference
+    assert joint.to_mapping()["adequate"] is False
+    assert next(term for term in joint.to_mapping()["terms"] if term["key"] == "coulomb")["probability"] > 0.9

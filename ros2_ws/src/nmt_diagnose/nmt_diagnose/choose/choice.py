@@ -241,8 +241,8 @@ class _Sets:
         at, size = np.concatenate([*parts, [target]]), np.concatenate([*found, [-1.0]])
         mean = float(self._gram[one, at] @ size) / self._rows
         square = float(size @ self._gram[np.ix_(at, at)] @ size) / self._rows
-        whole = float(self._gram[target, target]) / self._rows
-        return max((square - mean**2) / max(whole, 1e-300), _LEAST_KEPT)
+        variance = float(self._gram[target, target]) / self._rows
+        return max((square - mean**2) / max(variance, 1e-300), _LEAST_KEPT)
 
     def gains(self, start: Judged) -> FloatArray:
         """By how much each column of the library lowers weighted squares and pulls on top of a set, at first order."""

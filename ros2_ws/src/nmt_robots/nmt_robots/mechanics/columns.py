@@ -16,6 +16,9 @@ from nmt_robots.mechanics.readings import DriveSignals
 _LARGEST_SCALE = 0.5
 """Of gravity or inertia: no link of a model is wrong by more than half."""
 
+_WARMING = (0.1, 0.2, 0.35, 0.7)
+"""Times in which a drive warms, as shares of the log."""
+
 _LARGEST_MASS = 1.0
 """Of a link, as a share of it, that it may carry or lack."""
 
@@ -131,8 +134,14 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
 
     for speed in (0.05, 0.1, 0.2, 0.5):
         if speed < 0.3 * float(np.max(np.abs(state.v))):
-            add(_falling(speed), "stribeck", "friction that falls with speed (Stribeck)", "N·m",
-                shape=f"{speed:g} rad/s")  # fmt: skip
+            for power, how in ((1, ""), (2, " as a bell")):
+                add(_falling(speed, power), "stribeck", "friction that falls with speed (Stribeck)", "N·m",
+                    shape=f"{speed:g} rad/s{how}")  # fmt: skip
+    time = motion.step_s * np.arange(len(motion.q))
+    for share in _WARMING:
+        fades = np.sign(state.v) * np.exp(-time / (share * time[-1]))
+        found.append(Effect("changing_friction", "friction that changes over the log", "N·m", fades[:, None],
+                            shape=f"within {share * time[-1]:.2g} s"))  # fmt: skip
     add(lambda s: (s.v * np.abs(s.v),), "quadratic_friction", "friction that grows with the square of speed",
         "N·m·s²/rad²")  # fmt: skip
     add(lambda s: (np.sign(s.v) * np.sqrt(np.abs(s.v)),), "root_friction",
@@ -194,8 +203,8 @@ def _of_the_drive(state: State, drive: DriveSignals) -> list[Effect]:
     return found
 
 
-def _falling(speed: float) -> Law:
-    return lambda s: (np.sign(s.v) * np.exp(-np.abs(s.v) / speed),)
+def _falling(speed: float, power: int) -> Law:
+    return lambda s: (np.sign(s.v) * np.exp(-np.power(np.abs(s.v) / speed, power)),)
 
 
 def _stopped(side: float, angle: float) -> Law:

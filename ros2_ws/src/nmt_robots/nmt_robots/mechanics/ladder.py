@@ -22,8 +22,25 @@ _LAST_PART = 0.7
 _CAUSES_AT_MOST = 4
 _ALIKE = 10.0
 """Difference of the criterion, odds of 150, up to which another cause does as well in the place of the first."""
+_FALLS = frozenset({"stribeck", "changing_friction"})
+_FORM_AS_WELL = 1.05
+"""Torque left by another form of the same effect against that of the chosen one, up to which it widens the ±."""
 _MOSTLY_OTHERS = 0.1
 """Of a column, beyond other effects, below which it is theirs and says nothing of a further one."""
+
+
+@dataclass(frozen=True)
+class Fall:
+    """By how much friction falls over what the log holds, which a coefficient at no speed or no time does not tell.
+
+    Attributes:
+        words: what falls, and between what.
+        size, std: by how much, N·m.
+    """
+
+    words: str
+    size: float
+    std: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +55,7 @@ class Share:
         alike: words of effects whose columns say the same in this log.
         equal: those of them whose columns are the same, so that no fit parts them.
         impossible: what a coefficient would be that may not be negative; zero where it is allowed.
+        fall: what it makes of friction over the speeds or seconds of the log; None of other effects.
     """
 
     effect: Effect
@@ -48,6 +66,7 @@ class Share:
     alike: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
     impossible: float = 0.0
+    fall: Fall | None = None
 
     @property
     def size(self) -> float:
@@ -242,6 +261,36 @@ class JointProblem:
         values = np.linalg.lstsq(matrix[:early], left[:early], rcond=1e-10)[0]
         return _rms(left[early:] - matrix[early:] @ values)
 
+    def fall(self, effects: list[Effect], effect: Effect, fit: Fit) -> Fall | None:
+        """By how much friction falls over the speeds or seconds of the log; forms that fit as well are in its ±."""
+        if effect.key not in _FALLS:
+            return None
+        others = [item for item in effects if item is not effect]
+        forms = [effect, *(item for item in self.rivals if item.key == effect.key and item is not effect)]
+        speed, rows = self.motion.v[self._rows, self.joint], np.flatnonzero(self._rows)
+        slow, fast = (float(x) for x in np.quantile(np.abs(speed), (0.02, 0.95)))
+        order = np.argsort(np.abs(speed)) if effect.key == "stribeck" else np.arange(len(rows))
+        count = max(len(rows) // 50, 1)
+        falls, lefts = [], []
+        for form in forms:
+            matrix = self.columns([*others, form])
+            values, _, _ = solve(matrix, self.left, never_negative([*others, form]))
+            friction = form.columns[rows, 0] * np.sign(speed) * values[-1]
+            falls.append(float(np.mean(friction[order[:count]]) - np.mean(friction[order[-count:]])))
+            lefts.append(_rms(self.left - matrix @ values))
+        as_well = [fall for fall, left in zip(falls, lefts, strict=True) if left < _FORM_AS_WELL * lefts[0]]
+        place = sum(item.parameters for item in effects[: effects.index(effect)])
+        relative = float(fit.std[place]) / max(abs(float(fit.values[place])), 1e-300)
+        std = float(np.hypot(abs(falls[0]) * relative, max(abs(fall - falls[0]) for fall in as_well) / np.sqrt(3.0)))
+        if effect.key == "stribeck":
+            words = f"friction that falls from {slow:.2g} to {fast:.2g} rad/s (Stribeck), by"
+        else:
+            at = effects.index(next(item for item in effects if item.key == "coulomb"))
+            friction = effect.columns[rows, 0] * np.sign(speed) * fit.values[place] + fit.values[at]
+            start, end = float(np.mean(friction[:count])), float(np.mean(friction[-count:]))
+            words = f"friction that changes over the log from {start:.2g} to {end:.2g} N·m, falling by"
+        return Fall(words, falls[0], std)
+
     def credible(self, effects: list[Effect], rival: Effect) -> bool:
         """Whether a rival beside other effects is within its limits where all of them are free."""
         values = self.fit([*effects, rival]).values[-rival.parameters :]
@@ -302,12 +351,12 @@ def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechan
     # The mean of a torque is asked of no cause but its own.
     means = [effect for effect in problem.usual if effect.key == "offset"]
     causes = [effect for effect in effects if effect.key in choice.causes and effect not in means]
-    whole = problem.last_left([*causes, *means], in_model)
+    last = problem.last_left([*causes, *means], in_model)
     asked = [*causes, *(effect for effect in means if effect.key in choice.causes)]
     lost = frozenset(
         cause.key
         for cause in asked
-        if whole >= problem.last_left([effect for effect in [*causes, *means] if effect is not cause], in_model)
+        if last >= problem.last_left([effect for effect in [*causes, *means] if effect is not cause], in_model)
     )
     return JointMechanics(
         tuple(shares), problem.held_out(effects), problem.held_out(problem.usual),
@@ -329,7 +378,8 @@ def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool)
         if abs(impossible) * unit < MARGIN * float(np.std(problem.torque)):
             impossible = 0.0
         shares.append(
-            Share(effect, fit.values[part], fit.std[part], _rms(torque), unit, tuple(alike), equal, impossible)
+            Share(effect, fit.values[part], fit.std[part], _rms(torque), unit, tuple(alike), equal, impossible,
+                  problem.fall(effects, effect, fit) if named else None)
         )  # fmt: skip
     return shares
 

@@ -31,6 +31,7 @@ class Term:
         alike: what nearly the same column could be as well.
         equal: those of them that no fit of such a log parts from this one.
         impossible: coefficient that would have been negative and may not be; zero elsewhere.
+        probability: posterior probability that its cause is there, beside the other causes that were asked.
     """
 
     key: str
@@ -44,6 +45,7 @@ class Term:
     alike: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
     impossible: float = 0.0
+    probability: float = 0.0
 
     @property
     def name(self) -> str:
@@ -65,7 +67,7 @@ class Term:
             "key": self.key, "words": self.words, "unit": self.unit, "value": self.value, "std": self.std,
             "in_model": self.in_model, "share": self.share, "differs": self.differs, "alike": list(self.alike),
             "equal": list(self.equal),
-            "impossible": self.impossible,
+            "impossible": self.impossible, "probability": self.probability,
         }  # fmt: skip
 
 
@@ -106,6 +108,11 @@ class JointVerdict:
         return any(term.differs for term in self.terms)
 
     @property
+    def adequate(self) -> bool:
+        """Whether its terms leave little enough of the torque."""
+        return self.left < THRESHOLDS.unexplained * self.torque
+
+    @property
     def closed(self) -> float:
         """Share of what the model as given leaves over that is gone on held-out seconds."""
         return 1.0 - self.left / self.unchanged if self.unchanged > 0.0 else float("nan")
@@ -129,7 +136,13 @@ class JointVerdict:
     def difference(self) -> str:
         """What differs from the model, with sizes."""
         if self.differs:
-            return "; ".join(term.text() for term in self.terms if term.differs)
+            words = "; ".join(term.text() for term in self.terms if term.differs)
+            if self.adequate:
+                return words
+            return (
+                f"{words}; in part: {percent(max(self.closed, 0.0))} of the gap is gone, "
+                f"{percent(self.left / self.torque)} of the torque stays without a name"
+            )
         if self.is_as_in_the_model:
             return "nothing: as in the model"
         return f"not known: the model leaves {percent(self.unchanged / self.torque)} of the torque, no cause is claimed"
@@ -139,6 +152,7 @@ class JointVerdict:
         return {
             "joint": self.joint.name, "cause": self.cause, "torque_rms": self.torque, "left_as_logged": self.as_logged,
             "left_by_model": self.unchanged, "left_by_plain_fit": self.plain, "left": self.left, "closed": self.closed,
+            "adequate": self.adequate,
             "last_part_plain": self.last_plain, "last_part": self.last, "remains": self.remains,
             "terms": [term.to_mapping() for term in self.terms],
         }  # fmt: skip
@@ -222,7 +236,9 @@ _OF_INERTIA = frozenset({"armature", "inertia_scale"})
 """Effects that a state of its own, which is not understood, changes most."""
 _WITH_A_MEAN = frozenset({"spring", "gravity_scale", "mass_centre", "link_mass", "ripple", "end_stop"})
 """Effects whose own mean an offset takes."""
-_FRICTION = frozenset({"coulomb", "viscous", "stribeck", "load_friction", "spring", "ripple", "end_stop"})
+_FRICTION = frozenset(
+    {"coulomb", "viscous", "stribeck", "changing_friction", "load_friction", "spring", "ripple", "end_stop"}
+)
 """Effects that the motion of other joints does not make."""
 _OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
 _GAINS = {"kp": "position", "kd": "velocity"}
@@ -266,7 +282,7 @@ def joint_verdict(
         nearest = min((size - reference) * np.sign(difference) for size in sizes)
         part = abs(difference) * share.unit_rms / max(best.held_out.torque, 1e-300)
         tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
-        differs = (
+        differs = bool(
             part > THRESHOLDS.smallest_share
             and nearest > THRESHOLDS.certain * single
             and nearest > THRESHOLDS.certain * tolerance
@@ -280,9 +296,14 @@ def joint_verdict(
             and not share.effect.made_of_torque
         )
         words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
+        size = share.size
+        if share.fall is not None:
+            # A coefficient at no speed lies outside of what the log holds.
+            std = float(np.hypot(share.fall.std, abs(share.fall.size) * std / max(abs(size), 1e-300)))
+            words, size = share.fall.words, share.fall.size
         terms.append(
-            Term(key, words, share.effect.unit, share.size, std, reference, part, differs, share.alike,
-                 share.equal, share.impossible)
+            Term(key, words, share.effect.unit, size, std, reference, part, differs, share.alike,
+                 share.equal, share.impossible, best.choice.probability.get(key, 0.0))
         )  # fmt: skip
     # An offset is what other terms leave of their mean: it stands behind them.
     terms.sort(key=lambda term: (not term.differs, term.key == "offset", -term.share))

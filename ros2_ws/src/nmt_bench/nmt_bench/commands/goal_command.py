@@ -42,8 +42,8 @@ def run(options: GoalOptions) -> int:
     rig = load_rig(options.folder / "rig.yaml")
     domain = options.domain
     if domain is None:
-        own = os.environ.get("ROS_DOMAIN_ID", "0")
-        domain = int(own) if own.isdigit() else 0
+        stated = os.environ.get("ROS_DOMAIN_ID", "0")
+        domain = int(stated) if stated.isdigit() else 0
     if not 0 <= domain <= 232:
         raise BenchError(f"A ROS domain must be from 0 to 232, got {domain}.")
 

@@ -70,7 +70,8 @@ def urdf_as_mjcf(root: Element, name: str, left_out: Counter[str]) -> UrdfRobot:
         below[parent].append(joint)
     roots = [link for link in links if link not in parents]
     if len(roots) != 1:
-        raise BenchError(f"{name} has {len(roots)} links without a parent ({', '.join(roots[:5])}); a robot has one.")
+        listed = f" ({', '.join(roots[:5])})" if roots else ""
+        raise BenchError(f"{name} has {len(roots)} links without a parent{listed}; a robot has one, its base.")
     robot = UrdfRobot(_element("mujoco", model="robot"))
     compiler = _element("compiler", angle="radian", autolimits="true", inertiafromgeom="false")
     world = _element("worldbody")

@@ -59,6 +59,11 @@ def a_table_of_decays(folder: Path) -> None:
     (folder / "decay.csv").write_text("\n".join([head, *lines]) + "\n")
 
 
+def a_robot(folder: Path) -> None:
+    (folder / "diagnosis.json").write_text('{"kind": "robot"}')
+    (folder / "joints.csv").write_text("joint,cause,value\nhip,Coulomb friction,0.3\nknee,,\n")
+
+
 KINDS: dict[str, Callable[[Path], None]] = {
     "run": a_run,
     "linear": a_linear_test,
@@ -66,5 +71,6 @@ KINDS: dict[str, Callable[[Path], None]] = {
     "reference": a_reference,
     "diagnosis": a_diagnosis,
     "decays": a_table_of_decays,
+    "robot": a_robot,
 }
 """Writes a folder of the kind."""

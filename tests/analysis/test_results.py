@@ -14,9 +14,11 @@ from scipy.io import netcdf_file
 
 import nmt
 from nmt_core.errors import BenchError
+from nmt_core.vocabulary import PointStatus
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_extract.curves.response_table import write_response_csv
 from nmt_extract.curves.swept_response import FrequencyResponseTable
+from nmt_extract.judgement.uncertainty_budget import FORMAT
 from nmt_extract.modal.table import write_results
 from nmt_report.run_report import write_report
 
@@ -46,6 +48,36 @@ def test_a_run(run: nmt.RunResults) -> None:
     np.testing.assert_array_equal(data.shape_harmonics.isel(level=0), first.shape_harmonics)
     assert data.point.values.tolist() == list(first.points)
     assert data.level.attrs["units"] == first.level_unit
+
+
+def test_the_standard_uncertainty_is_the_total_of_the_budget(tmp_path: Path) -> None:
+    """As in the report; what the window shows of itself stands in a column of its own."""
+    points = synthetic_run().points
+    write_results(points, tmp_path, {"rig": "beam", "linear": json.loads(LINEAR.to_json())})
+    first = next(point for point in points if point.status == PointStatus.OK)
+    quantities = {"omega_rad_s": {"total": 0.7}, "damping_ratio": {"total": 0.002}}
+    budget = {"format": FORMAT, "points": [{"level_index": first.level_index, "quantities": quantities}]}
+    (tmp_path / "uncertainty.json").write_text(json.dumps(budget))
+    opened = nmt.open(tmp_path)
+    assert isinstance(opened, nmt.RunResults)
+    row = next(row for row in opened.rows() if row["level_index"] == first.level_index)
+    assert row["damping_ratio_std"] == 0.002
+    assert row["frequency_hz_std"] == pytest.approx(0.7 / (2.0 * np.pi), rel=1e-12)
+    assert row["damping_ratio_repeatability"] == first.damping_ratio_std
+    assert row["mac_std"] == first.mac_std
+    assert opened.values("damping_ratio_std")[0] == 0.002
+    assert opened.values("damping_ratio_repeatability")[0] == first.damping_ratio_std
+    assert float(opened.to_xarray().damping_ratio_repeatability[0]) == first.damping_ratio_std
+    (tmp_path / "uncertainty.json").write_text("{}")
+    with pytest.raises(BenchError, match="not an uncertainty budget"):
+        nmt.open(tmp_path)
+
+
+def test_a_diagnosis_without_explanations_has_the_columns_all_the_same(tmp_path: Path) -> None:
+    document = {"verdict": "none", "sentences": [], "ranking": [], "gap": {}}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(document))
+    table = nmt.open(tmp_path).to_dataframe()[["effect", "detail", "probability", "closed"]]
+    assert table.shape == (0, 4)
 
 
 def test_netcdf_holds_what_the_dataset_holds(run: nmt.RunResults, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
@@ -161,7 +162,15 @@ def test_a_chain_about_an_effect_does_not_stand_in_for_it() -> None:
     search, null = searched(real(MODEL, local_elements=[spring]))
     cubic = search.singles(null, search.scores(null))[0]
     wanted = DiagnosisSettings().matters
-    imitated = replace(null, fit=replace(null.fit, prediction=cubic.fit.prediction, errors=cubic.fit.errors))
+    imitated = replace(
+        null,
+        fit=replace(
+            null.fit,
+            prediction=cubic.fit.prediction,
+            errors=cubic.fit.errors,
+            log_evidence=cubic.fit.log_evidence,
+        ),
+    )
     assert needed(search.data, cubic, [imitated], wanted).stated == ()
     own_chain = OwnChains(MODEL, search.data.observations, search.data, cubic.fitted)
     data, alone = own_chain(imitated)
@@ -169,6 +178,26 @@ def test_a_chain_about_an_effect_does_not_stand_in_for_it() -> None:
     assert own_chain(imitated)[1] is alone
     assert needed(search.data, cubic, [imitated], wanted, own_chain).stated == (0,)
     assert own_chain(cubic)[1] is cubic
+
+
+def test_evidence_demands_an_effect_although_re_fitted_parameters_leave_less_than_matters() -> None:
+    """What the fit without it leaves is small in either case; the evidence of the rows parts them."""
+    spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}
+    search, null = searched(real(MODEL, local_elements=[spring]))
+    cubic = search.singles(null, search.scores(null))[0]
+    wanted = DiagnosisSettings().matters
+
+    def stated(rise: float, wanted: Mapping[str, float]) -> tuple[int, ...]:
+        alike = replace(
+            null.fit,
+            prediction=cubic.fit.prediction,
+            errors=cubic.fit.errors,
+            log_evidence=cubic.fit.log_evidence - rise,
+        )
+        return needed(search.data, cubic, [replace(null, fit=alike)], wanted).stated
+
+    assert (stated(29.0, wanted), stated(31.0, wanted)) == ((), (0,))
+    assert stated(1000.0, dict.fromkeys(wanted, 1e9)) == ()  # it is there and does not matter
 
 
 def test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise() -> None:

@@ -15,12 +15,13 @@ from nmt_core.messages.driven_test import DrivenTest
 KINDS_OF_RESULTS: tuple[tuple[str, Callable[[Path], Results]], ...] = (
     ("modal.json", RunResults.read),
     ("linear.json", LinearResult.read),
+    *((name, TableResult.read) for name in TABLES),
     ("diagnosis.json", DiagnosisResult.read),
     ("reference.csv", ReferenceResult.read),
-    *((name, TableResult.read) for name in TABLES),
     ("frf.csv", FrequencyResponses.read),
 )
-"""What a folder is, by the first of these files that it has. A linear test has frf.csv too."""
+"""What a folder is, by the first of these files that it has. A linear test has frf.csv, too, and the diagnosis of a
+robot diagnosis.json."""
 _WITHOUT_TABLE = (
     ("sidecar.yaml", "holds an export; nmt.import_data reads its sidecar.yaml back into a bag"),
     ("check.json", "holds a check, whose findings are sentences; read check.json or report.html"),

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 
 
 _TAU = 2.0 * math.pi
+_REPEATABILITY = "_repeatability"
 _WITH_STD = tuple(name + suffix for name in MEASURED for suffix in ("", "_std"))
 
 
@@ -70,7 +71,12 @@ class Results:
             >>> nmt.open("out/reference").to_dataframe().shape[0]
             2
         """
-        return _pandas().DataFrame(self.rows())
+        return _pandas().DataFrame(self.rows(), columns=list(self.columns) or None)
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of the main table, those of a table without rows, too, where they are fixed."""
+        return tuple(next(iter(self.rows()), ()))
 
     def to_xarray(self) -> Any:
         """Everything as one ``xarray.Dataset``.
@@ -203,25 +209,42 @@ _LABELS = {"level": "level"} | {quantity.name: quantity.axis for quantity in QUA
 class RunResults(Results):
     """A run or an extraction: one modal point a level.
 
+    ``<name>_std`` is the total standard uncertainty by the budget (``uncertainty.json``) where there is one, as in the
+    report; ``<name>_repeatability`` is what the window shows of itself. Without a budget both are the repeatability.
+
     Attributes:
         points: of all levels, in the order of the test; those that gave no values say why.
         inputs: what the extraction worked with.
+        repeatability: number of the level -> name of each quantity with a budget -> its repeatability.
     """
 
     points: tuple[ModalPoint, ...] = ()
     inputs: Mapping[str, Any] = field(default_factory=dict)
+    repeatability: Mapping[int, Mapping[str, float]] = field(default_factory=dict)
 
     @classmethod
     def read(cls, folder: Path) -> RunResults:
-        """Read ``modal.json``.
+        """Read ``modal.json``, and ``uncertainty.json`` where there is one.
 
         Raises:
             BenchError: damaged.
         """
+        from nmt_extract.judgement.uncertainty_budget import read_totals
         from nmt_extract.modal.table import read_json
 
         points, inputs = read_json(folder / "modal.json")
-        return cls(folder, tuple(points), inputs)
+        budget = folder / "uncertainty.json"
+        totals = read_totals(budget) if budget.is_file() else {}
+        repeatability = {
+            point.level_index: {name: getattr(point, f"{name}_std") for name in totals[point.level_index]}
+            for point in points
+            if point.level_index in totals
+        }
+        stated = []
+        for point in points:
+            changes: dict[str, Any] = {f"{name}_std": it for name, it in totals.get(point.level_index, {}).items()}
+            stated.append(replace(point, **changes))
+        return cls(folder, tuple(stated), inputs, repeatability)
 
     @property
     def _summary(self) -> str:
@@ -249,7 +272,8 @@ class RunResults(Results):
         """One property over the levels with values, shape ``(levels,)``.
 
             Args:
-                name: field of :class:`nmt_core.messages.modal_point.ModalPoint`, or ``<name>_std``.
+                name: field of :class:`nmt_core.messages.modal_point.ModalPoint`, ``<name>_std`` or
+                    ``<name>_repeatability``.
 
             Raises:
                 BenchError: there is no such property.
@@ -262,12 +286,23 @@ class RunResults(Results):
             Traceback (most recent call last):
             nmt_core.errors.BenchError: A modal point has no property 'loudness'; it has frequency_hz, omega_rad_s, ...
         """
+        plain = name.removesuffix(_REPEATABILITY)
+        if plain != name and plain in MEASURED:
+            return np.array([self._repeatability(point, plain) for point in self.good_points])
         if not hasattr(ModalPoint, name) or name in COMPLEX:
             raise BenchError(f"A modal point has no property '{name}'; it has {', '.join(MEASURED)}.")
         return np.array([float(getattr(point, name)) for point in self.good_points])
 
+    def _repeatability(self, point: ModalPoint, name: str) -> float:
+        return float(self.repeatability.get(point.level_index, {}).get(name, getattr(point, f"{name}_std")))
+
+    @property
+    def _with_budget(self) -> tuple[str, ...]:
+        """Quantities whose standard uncertainty is the total of a budget."""
+        return tuple(name for name in MEASURED if any(name in it for it in self.repeatability.values()))
+
     def rows(self) -> list[dict[str, Any]]:
-        """One row a level: status, level, every measured property with its standard uncertainty."""
+        """One row a level: status, level, every measured property with its standard uncertainty and repeatability."""
         return [
             {
                 "level_index": point.level_index,
@@ -276,6 +311,7 @@ class RunResults(Results):
                 "level": point.level,
                 "level_unit": point.level_unit,
                 **{name: getattr(point, name) for name in _WITH_STD},
+                **{name + _REPEATABILITY: self._repeatability(point, name) for name in self._with_budget},
             }
             for point in self.points
         ]
@@ -301,6 +337,8 @@ class RunResults(Results):
             raise BenchError(f"{self.folder} has no level with values; see its reasons with rows().")
         first = points[0]
         data: dict[str, Any] = {name: ("level", [getattr(p, name) for p in points]) for name in _WITH_STD}
+        for name in self._with_budget:
+            data[name + _REPEATABILITY] = ("level", [self._repeatability(p, name) for p in points])
         data["force_harmonics"] = (("level", "order"), np.array([p.force_harmonics for p in points]))
         data["shape_harmonics"] = (("level", "order", "point"), np.array([p.shape_harmonics for p in points]))
         data["normalised_shape"] = (("level", "point"), np.array([p.normalised_shape for p in points]))
@@ -582,8 +620,10 @@ class DiagnosisResult(Results):
     def _summary(self) -> str:
         return f"verdict {self.verdict}, {_counted(len(self.document['ranking']), 'explanation')}"
 
+    columns = ("effect", "place", "detail", "probability", "closed", "parameters", "equivalents")
+
     def rows(self) -> list[dict[str, Any]]:
-        """One row an explanation, the most probable first."""
+        """One row an explanation, the most probable first; none where the model needs no effect."""
         return [
             {
                 "effect": entry["effect"],

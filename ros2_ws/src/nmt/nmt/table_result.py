@@ -14,13 +14,13 @@ from nmt_core.files.hardened import read_rows
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TABLES = ("decay.csv", "synthesis.csv", "secondary.csv", "study.csv")
-"""Files that are opened so: of ring-downs, of syntheses and of a study."""
+TABLES = ("joints.csv", "decay.csv", "synthesis.csv", "secondary.csv", "study.csv")
+"""Files that are opened so: of a robot's diagnosis, of ring-downs, of syntheses and of a study."""
 
 
 @dataclass(frozen=True, repr=False)
 class TableResult(Results):
-    """A table of free decays, of a synthesis or of a study.
+    """A table of a robot's joints, of free decays, of a synthesis or of a study.
 
     Attributes:
         table: its lines, texts and numbers by the names of the columns.

@@ -78,8 +78,8 @@ IN_REACH = Rule(
 )
 NEEDED = Rule(
     "needed",
-    "Without it more is left than noise that matters, or model and measuring chain are further from what is believed "
-    "of them.",
+    "Without it more is left than noise that matters, or the evidence demands it, or model and measuring chain are "
+    "further from their priors.",
     "of what counts",
     lambda facts: facts.left_without,
     lambda facts: 1.0,

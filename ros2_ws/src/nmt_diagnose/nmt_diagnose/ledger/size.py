@@ -266,7 +266,8 @@ def beside_simpler(
 
     The other leaves more than noise that matters, and their predictions differ; or it is that near only by parameters
     or a measuring chain that nobody believes, and leaves as much where it has to do without these. An effect of a
-    sensor, such as its gain, is itself the finding on the chain.
+    sensor, such as its gain, is itself the finding on the chain. An effect that the evidence demands is there, however
+    little re-fitted parameters leave in its place: whether it matters is the size of its own change.
     """
     numbers = [k for k, candidate in enumerate(more.candidates) if candidate.cause not in less.fitted.causes]
     loop = any(more.candidates[k].site.location.kind == "controller" for k in numbers)
@@ -277,6 +278,10 @@ def beside_simpler(
     if left >= 1.0:
         change = data.forward.difference(more.fit.errors.values, alone.fit.errors.values)
         return Facts(left_without=left, change=over(change_size(data, change), wanted))
+    evidence = more.fit.log_evidence - max(less.fit.log_evidence, alone.fit.log_evidence)
+    if evidence >= THRESHOLDS.verdict.sure_log_evidence:
+        share = evidence / THRESHOLDS.verdict.sure_log_evidence
+        return Facts(left_without=share, change=over(measured_size(data, more), wanted))
     relieved = relief(data, more, less, wanted)
     if relieved.left_without < max(left, 1.0):
         return replace(relieved, left_without=max(left, relieved.left_without))

@@ -150,7 +150,7 @@ def find(
     law: LawReading | None = None
     standing = Standing(search, null, ())
 
-    gap = leaves_something(data, null, settings.matters, loop=True)
+    gap = leaves_something(data, null, settings.matters, loop=True) or _promise_evidence(scores())
     settled = False
     if gap:
         begun, passed = list[FittedExplanation](), frozenset[Explanation]()
@@ -209,6 +209,11 @@ def find(
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
         () if settled else tuple(scores()), beside_best,
     )  # fmt: skip
+
+
+def _promise_evidence(scores: Sequence[Score]) -> bool:
+    """Whether the score test promises an effect that is reported although the model alone leaves less than matters."""
+    return bool(scores) and 0.5 * scores[0].gain >= THRESHOLDS.verdict.sure_log_evidence
 
 
 def _singles(

@@ -16,6 +16,13 @@ class VerdictThresholds:
         "Ln of the odds against no gap from which a gap is claimed: four and a half to one.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[verdict.alarm_log_odds]",
     )  # fmt: skip
+    sure_log_evidence: float = threshold(
+        30.0, "ln evidence",
+        "Ln evidence of an effect over the model without it from which it is reported although re-fitted parameters "
+        "leave less than what matters: 21 was the most of a healthy recording, 1860 that of 4 g on the demo's beam.",
+        "tests/diagnose/test_what_is_asked.py::"
+        "test_evidence_demands_an_effect_although_re_fitted_parameters_leave_less_than_matters",
+    )  # fmt: skip
     recalibration_cost_fall: float = threshold(
         25.0, "−2 ln p",
         "Fall of the cost by the model's parameters alone from which that is a calibration: five standard "

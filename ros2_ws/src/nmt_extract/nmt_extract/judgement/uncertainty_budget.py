@@ -20,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from nmt_core.errors import BenchError
+from nmt_core.files.hardened import read_json
 from nmt_core.files.whole_file import csv_text, write_result
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.linear_description import LinearDescription
@@ -372,6 +374,28 @@ def write_budget(budgets: Sequence[PointBudget], folder: Path | str, inputs: Bud
     write_result(Path(folder) / "uncertainty.csv", csv_text(table))
     text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False) + "\n"
     write_result(Path(folder) / "uncertainty.json", text)
+
+
+def read_totals(path: Path | str) -> dict[int, dict[str, float]]:
+    """Total standard uncertainties of ``uncertainty.json``: number of the level -> name of the quantity -> total.
+
+    Raises:
+        BenchError: it cannot be read or is no such file.
+    """
+    document = read_json(Path(path), "uncertainty budget")
+    try:
+        if document["format"] != FORMAT:
+            raise ValueError(f"its format is '{document['format']}'")
+        totals = {
+            int(point["level_index"]): {name: float(it["total"]) for name, it in point["quantities"].items()}
+            for point in document["points"]
+        }
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise BenchError(f"{path} is not an uncertainty budget ('{FORMAT}'): {error}.") from error
+    for of_level in totals.values():
+        if "omega_rad_s" in of_level:
+            of_level["frequency_hz"] = of_level["omega_rad_s"] / (2.0 * math.pi)
+    return totals
 
 
 def left_out(inputs: BudgetInputs) -> Iterator[str]:

@@ -242,7 +242,9 @@ def test_a_tared_force_is_named(tmp_path: Path, seed: int) -> None:
     row = int(columns["f"].size * rng.uniform(0.2, 0.8))
     assert zero_step(columns["f"]) is None
     columns["f"][row:] += size
-    notes = imported(tmp_path, (rate, columns), "xf").notes
+    with pytest.raises(BenchError, match=r"was it tared or reset there\? Give a segment on either side of it"):
+        imported(tmp_path, (rate, columns), "xf")
+    notes = imported(tmp_path, (rate, columns), "xf", f={"zero_step": "keep"}).notes
     found = [note for note in notes if "was it tared or reset there?" in note]
     assert found, notes
 

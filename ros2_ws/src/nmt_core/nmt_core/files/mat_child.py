@@ -16,6 +16,8 @@ import numpy as np
 from nmt_core.files.limited_child import limit
 
 DEEPEST = 12
+LONGEST_TEXT = 200
+"""Characters of a text that may be a unit or a name."""
 _MOST_ENTRIES = 20_000
 
 
@@ -65,7 +67,7 @@ def numbers_of(file: Any, largest: int) -> dict[str, np.ndarray[Any, Any]]:
 
 
 def _members(value: Any, path: str, depth: int, budget: Budget) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
-    """Path and array of every number in a variable or member; texts and objects are left out."""
+    """Path and array of every number and every short text in a variable or member; objects are left out."""
     from scipy import sparse
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque
 
@@ -88,6 +90,8 @@ def _members(value: Any, path: str, depth: int, budget: Budget) -> Iterator[tupl
     elif value.dtype.kind in "biufc":
         budget.take(value.size * (2 if value.dtype.kind == "c" else 1))
         yield path, value
+    elif value.dtype.kind == "U" and value.size == 1 and value.dtype.itemsize <= 4 * LONGEST_TEXT:
+        yield path, value.reshape(-1)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_ARRAYS, open_regular, read_arrays
 from nmt_core.files.limited_child import ChildError, run_limited
-from nmt_core.files.mat_child import DEEPEST, Budget, numbered
+from nmt_core.files.mat_child import DEEPEST, LONGEST_TEXT, Budget, numbered
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 MAT5 = b"MATLAB 5.0"
@@ -34,16 +34,19 @@ def is_hdf5(head: bytes) -> bool:
     return head.startswith(HDF5) or head[512:520] == HDF5 or head.startswith(b"MATLAB 7.3")
 
 
-def read_mat(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> dict[str, Array]:
+def read_mat(
+    path: Path, what: str, largest: int = LARGEST_ARRAYS, texts: dict[str, str] | None = None
+) -> dict[str, Array]:
     """Numeric arrays of a MATLAB or HDF5 file by the path of their name; of HDF5 also single numbers in attributes.
 
-    Texts and objects are left out, elements of cells and of arrays of structs are numbered. A sparse matrix K of a
+    Objects are left out, elements of cells and of arrays of structs are numbered. A sparse matrix K of a
     MATLAB file is K_data, K_indices, K_indptr and K_shape (compressed rows).
 
     Args:
         path: the file.
         what: kind of file, for messages.
         largest: bytes of all arrays together, as double precision.
+        texts: where short texts of a MATLAB file go, by the path of their name.
 
     Returns:
         Arrays of real or complex numbers as MATLAB shows them (rows first); those of HDF5 files that MATLAB did not
@@ -55,12 +58,16 @@ def read_mat(path: Path, what: str, largest: int = LARGEST_ARRAYS) -> dict[str, 
     with open_regular(path, what, largest) as file:
         head = file.read(520)
         if is_hdf5(head):
-            return _read_hdf5(path, what, largest)
+            return _read_hdf5(path, what, largest, texts)
         if not head.startswith(MAT5):
             raise BenchError(
                 f"The {what} {path.name} is not a MATLAB file of version 5 or later; save it with 'save -v7'."
             )
-        return _read_mat5(path, file, what, largest)
+        found = _read_mat5(path, file, what, largest)
+    words = {name: str(value[0]) for name, value in found.items() if value.dtype.kind == "U"}
+    if texts is not None:
+        texts.update(words)
+    return {name: value for name, value in found.items() if name not in words}
 
 
 def _read_mat5(path: Path, file: IO[bytes], what: str, largest: int) -> dict[str, Array]:
@@ -131,7 +138,7 @@ def _plain(value: Any) -> str | float | None:
     return float(number.reshape(-1)[0]) if number.size == 1 and number.dtype.kind in "iuf" else None
 
 
-def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
+def _read_hdf5(path: Path, what: str, largest: int, texts: dict[str, str] | None) -> dict[str, Array]:
     import h5py
 
     budget = Budget(largest)
@@ -168,10 +175,19 @@ def _read_hdf5(path: Path, what: str, largest: int) -> dict[str, Array]:
                     if values is not None:
                         found[".".join(filter(None, parts))] = values
             elif isinstance(entry, h5py.Dataset):
+                if texts is not None and (letters := text_of(entry)):
+                    texts[prefix + name] = letters
                 values = array(entry)
                 if values is not None:
                     found[prefix + name] = values
                     attributes(entry, f"{prefix}{name}.")
+
+    def text_of(entry: Any) -> str:
+        if entry.attrs.get("MATLAB_class") not in (b"char", "char") or entry.dtype.kind != "u" or entry.attrs.get(
+            "MATLAB_empty"
+        ) or weight(entry) > LONGEST_TEXT:  # fmt: skip
+            return ""
+        return "".join(map(chr, entry[()].reshape(-1).tolist()))
 
     def weight(entry: Any) -> int:
         # A chunk is unpacked as one, however little of it the array has.

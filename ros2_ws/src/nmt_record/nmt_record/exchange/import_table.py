@@ -31,6 +31,8 @@ _FOREIGN = (
     (b"\x93NUMPY", "a single NumPy array", "save the columns with numpy.savez"),
     (b"\x1f\x8b", "a gzip archive", "unpack it"),
     (b"%PDF", "a PDF", "save the table as CSV"),
+    (b"MDF     ", "an MDF file", "export it with asammdf as .mat or .csv, one channel group with a raster a file"),
+    (b"|CF,2", "a FAMOS file of imc", "export it as text, MATLAB or UFF58"),
 )
 
 

@@ -83,7 +83,7 @@ class SourceTable:
         stamps: columns that were written as dates or times of day; they hold seconds.
         constants: single numbers beside the columns (MATLAB).
         scalings: what the file says of the scale and the sign of each column.
-        points: of each column by the file; 0 = not told.
+        points: of each column by the file; 0 = not stated, −1 = to be asked.
         parts: columns that are no channels: dates and fractions of a stamp, numbers of the rows.
         judged: words for the clock that its reader has judged already (a bag); no column is another one.
         question: what the sidecar must say of that clock: sentence and key; None = it is clear.
@@ -187,6 +187,24 @@ def split_name(name: str) -> tuple[str, str]:
         if match and is_known_unit(match[2]):
             return match[1].strip(), match[2].strip()
     return name, ""
+
+
+_ORDER_NUMBER = r"(?P<{}>\d{{1,3}}(?:[.,]\d{{1,3}})?)"
+_ORDER = re.compile(
+    rf"\b(?:order|ordnung|ord)[ _.:=-]*{_ORDER_NUMBER.format('behind')}(?![\d])"
+    rf"|(?<![\d.,A-Za-z]){_ORDER_NUMBER.format('before')}(?:\.|st|nd|rd|th)?[ _-]*(?:order|ordnung|ord)(?![a-z])"
+    rf"|(?<![\d.,A-Za-z]){_ORDER_NUMBER.format('times')} ?[x×](?![A-Za-z\d])",
+    re.I,
+)
+
+
+def split_order(name: str) -> tuple[str, float | None]:
+    """Name of a column without the order of a rotation that it names, and that order; None where it names none."""
+    found = _ORDER.search(name.replace("_", " "))
+    if found is None:
+        return name, None
+    number = float((found["behind"] or found["before"] or found["times"]).replace(",", "."))
+    return (name[: found.start()] + name[found.end() :]).strip(" _-.,:"), number if number > 0.0 else None
 
 
 def _bracket(text: str) -> int:

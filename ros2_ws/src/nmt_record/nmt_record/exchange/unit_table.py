@@ -90,6 +90,7 @@ _NAMES = {
     "sec": "s", "second": "s", "seconds": "s", "sekunden": "s", "msec": "ms", "milliseconds": "ms", "usec": "us",
     "microseconds": "us", "nsec": "ns", "nanoseconds": "ns", "minutes": "min", "hours": "h", "hour": "h", "hrs": "h",
     "hr": "h", "days": "d", "day": "d",
+    "1/min": "rpm", "u/min": "rpm", "r/min": "rpm", "rev/min": "rpm", "revs/min": "rpm", "min^-1": "rpm",
     "hertz": "Hz", "hz": "Hz", "percent": "%", "pct": "%", "-": "1", "none": "1", "m*kg^(1/2)": "m*sqrt(kg)",
 }  # fmt: skip
 

@@ -59,11 +59,17 @@ def read_npz(path: Path) -> SourceTable:
 
 
 _RATES = frozenset(("samplerate", "fs", "samplingrate", "samplingfrequency", "samplefrequency"))
-_STEPS = frozenset(("dt", "deltat", "sampleinterval", "samplinginterval", "timestep", "wfincrement"))
+_STEPS = frozenset(
+    ("dt", "deltat", "sampleinterval", "samplinginterval", "timestep", "wfincrement", "x_values.increment")
+)
+_X_VALUES = re.compile(r"(.*\bx_values)\.(increment|start_value)$")
+"""Abscissa in the files of Simcenter Testlab."""
 
 
 def _plain_key(key: str) -> str:
-    """Last part of a name, in small letters, without what joins words."""
+    """Last part of a name, in small letters, without what joins words; of an abscissa with its own."""
+    if _X_VALUES.match(key):
+        return ".".join(key.rsplit(".", 2)[-2:])
     return re.sub(r"[_ -]", "", key.rpartition(".")[2]).lower()
 
 
@@ -78,6 +84,12 @@ def _clock_keys(values: Mapping[str, NDArray[Any]]) -> tuple[float | None, float
     return rate, step, [key for key in single if _plain_key(key) in _RATES | _STEPS]
 
 
+def _counts_seconds(key: str, texts: Mapping[str, str]) -> bool:
+    """Whether a number may be one of a clock: an abscissa may be another one by its unit."""
+    found = _X_VALUES.match(key)
+    return found is None or plain_unit(texts.get(f"{found[1]}.quantity.label", "s")) == "s"
+
+
 def read_mat_table(path: Path, wanted: Sequence[str | int]) -> SourceTable:
     """Arrays of a MATLAB or HDF5 file.
 
@@ -85,8 +97,9 @@ def read_mat_table(path: Path, wanted: Sequence[str | int]) -> SourceTable:
         BenchError: no arrays of numbers of one length, or the file is damaged.
     """
     name = path.name
-    arrays = read_mat(path, "data file")
-    rate, step, _ = _clock_keys(arrays)
+    texts: dict[str, str] = {}
+    arrays = read_mat(path, "data file", texts=texts)
+    rate, step, _ = _clock_keys({key: array for key, array in arrays.items() if _counts_seconds(key, texts)})
     columns: dict[str, FloatArray] = {}
     for key, array in arrays.items():
         if array.size > 1:
@@ -104,7 +117,7 @@ def read_mat_table(path: Path, wanted: Sequence[str | int]) -> SourceTable:
         every = list(lengths.values())
         length = max(set(every), key=lambda own: (own * every.count(own), own))
     kept = {key: column for key, column in columns.items() if column.shape[0] == length}
-    stated = _Stated(read_attributes(path), name)
+    stated = _Stated(read_attributes(path) | _units_beside(columns, texts), name)
     kept = {key: stated.filled(key, column) for key, column in kept.items()}
     for key, column in kept.items():
         if np.isinf(column).any():
@@ -119,6 +132,23 @@ def read_mat_table(path: Path, wanted: Sequence[str | int]) -> SourceTable:
         sample_rate=rate, step=step, constants=single, scalings=tuple(map(stated.scaling, kept)),
         points=tuple(map(stated.point, kept)),
     )  # fmt: skip
+
+
+def _units_beside(columns: Mapping[str, FloatArray], texts: Mapping[str, str]) -> dict[str, dict[str, str | float]]:
+    """Unit of each column that stands as a text beside it in its struct, and point by an identifier as rod:1:+Z."""
+    found: dict[str, dict[str, str | float]] = {}
+    for key in columns:
+        parts = re.sub(r"(\.\d+)+$", "", key).split(".")
+        struct = ".".join(parts[:-1])
+        beside = (f"{struct}.{name}" for name in ("quantity.label", "unit", "units", "Unit", "Units"))
+        unit = next((texts[name] for name in beside if struct and name in texts), "")
+        place = re.match(
+            r".*:(\d{1,8}):[+-]?[XYZ]", texts.get(".".join([*parts[:-2], "function_record.first_id.name"]), "")
+        )
+        alone = ".".join(parts) == key
+        found[key] = {"unit": unit} if unit else {}
+        found[key] |= {"point": float(place[1])} if place and alone else {}
+    return {key: stated for key, stated in found.items() if stated}
 
 
 class _Stated:

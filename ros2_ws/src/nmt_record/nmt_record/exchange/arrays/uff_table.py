@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -66,8 +67,23 @@ def read_uff_table(path: Path) -> SourceTable:
         step=None if head.abscissa is not None else head.abscissa_increment * factor,
         abscissa=None if head.abscissa is None else head.abscissa * factor,
         scalings=tuple(_scaling(function, name) for function in times),
-        points=tuple(function.response_node for function in times),
+        points=_points(times, name, notes),
     )
+
+
+def _points(times: Sequence[uff.UffFunction], name: str, notes: list[str]) -> tuple[int, ...]:
+    """Node of each channel; −1 where channels of one quantity have several directions there."""
+    found: dict[tuple[int, int], set[int]] = {}
+    for function in times:
+        key = function.response_node, function.ordinate_axis.data_type
+        found.setdefault(key, set()).add(abs(function.response_direction))
+    several = sorted({node for (node, _), directions in found.items() if len(directions - {0}) > 1})
+    if several:
+        notes.append(
+            f"Point{'s' if len(several) > 1 else ''} {', '.join(map(str, several))} of {name} have channels in several "
+            "directions; a point of the model is one direction, and the sidecar says which channel it is."
+        )
+    return tuple(-1 if f.response_node in several and f.response_direction else f.response_node for f in times)
 
 
 def _scaling(function: uff.UffFunction, name: str) -> Scaling:

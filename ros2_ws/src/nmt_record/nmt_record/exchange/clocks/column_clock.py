@@ -34,6 +34,8 @@ _MOST_LOST = 1.0  # rows that a counter misses, in those that are there
 _RISING = 0.8  # share of rising steps of a column that is a clock, faulty or not
 _SLOW = 20.0  # Hz: below it a time without a unit may be one in ms, or a number of samples
 _FAST = 1e5  # Hz: above it one in hours or minutes
+_GROUP = re.compile(r"(?:DataGroup|DGM?|ChannelGroup|CG|Group)_?\d+_", re.I)
+"""What asammdf and others write before the names of the channels of a group."""
 _EPOCH = (1e9, 5e9)  # s since 1970: 2001 to 2128
 
 
@@ -409,9 +411,9 @@ def quantum_of(values: FloatArray) -> float:
 
 
 def bare_name(table: SourceTable, index: int) -> str:
-    """Name of a column without its unit; of a member of a struct the last part."""
+    """Name of a column without its unit; of a member of a struct, or of a group of channels, the last part."""
     name = split_name(table.names[index])[0].strip()
-    last = name.rpartition(".")[2]
+    last = _GROUP.sub("", name.rpartition(".")[2])
     return name if table.lines or last.isdigit() else last
 
 

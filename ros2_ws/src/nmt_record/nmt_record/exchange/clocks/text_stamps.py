@@ -5,8 +5,10 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Callable, Sequence
+from decimal import Decimal
 
 from nmt_core.errors import BenchError
+from nmt_record.exchange.unit_table import TIME_UNITS, other_factor, plain_unit
 
 _DATE = r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}|\d{1,2}[- ][A-Za-z]{3,4}[- .]\d{2,4}"
 _CLOCK = (
@@ -14,6 +16,8 @@ _CLOCK = (
     r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|[-+]\d{2}:?\d{2})?$"
 )
 _STAMP = re.compile(rf"(?:(?P<date>{_DATE})[T_ ]\s*)?{_CLOCK}")
+_DURATION = re.compile(r"(?P<number>[-+]?\d+(?:[.,]\d*)?(?:[eE][-+]?\d+)?)\s*(?P<unit>[mµun]?s|[a-z]{2,12}|h|d)$")
+"""As MATLAB writes it: 0.002 sec."""
 _DATE_ALONE = re.compile(rf"(?:{_DATE})$")
 _DATE_AND_TIME = re.compile(r"(\d{4}-\d{2}-\d{2}|\d{2}\.\d{2}\.\d{4}|\d{1,2}/\d{1,2}/\d{4}) +(?=\d{1,2}:\d{2}:\d{2})")
 _TIME_AND_HALF = re.compile(r"(:\d{2}(?:[.,:]\d+)?) +([AaPp]\.?[Mm]\b)")
@@ -27,8 +31,19 @@ def joined_stamps(text: str) -> str:
     return _TIME_AND_HALF.sub(r"\1\2", _DATE_AND_TIME.sub(r"\1T", text))
 
 
+def _duration(cell: str) -> str | None:
+    """Seconds of a number with its unit of time, with all its digits; None if the cell is none."""
+    found = _DURATION.match(cell)
+    unit = plain_unit(found["unit"]) if found is not None else ""
+    if found is None or unit not in TIME_UNITS:
+        return None
+    return format(Decimal(found["number"].replace(",", ".")) * Decimal(repr(other_factor("time", unit, cell))), "f")
+
+
 def is_stamp(cell: str) -> bool:
-    """Whether a cell is a time of day, with a date or without; mm:ss only with fractions of a second."""
+    """Whether a cell is a time of day, with a date or without, mm:ss only with fractions of a second, or a duration."""
+    if ":" not in cell:
+        return cell[:1].isdigit() and _duration(cell) is not None
     found = _STAMP.match(cell)
     return found is not None and (found["hour"] is not None or found["part"] is not None)
 
@@ -70,7 +85,7 @@ class StampReader:
         """
         found = _STAMP.match(cell)
         if found is None:
-            return None
+            return _duration(cell)
         zone = found["zone"] or ""
         self._zone = zone if self._zone is None else self._zone
         if zone != self._zone:

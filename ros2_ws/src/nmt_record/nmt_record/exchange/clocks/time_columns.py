@@ -13,7 +13,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.source_table import SourceTable, split_name
 
 TIME_NAME = re.compile(
-    r"(time|t|zeit|timestamp|seconds|date[ /_-]?time|elapsed([ _]time)?|zeitstempel|stamp|x_value|uhrzeit|datum|date|"
+    r"(time|t|zeit|timestamps?|seconds|date[ /_-]?time|elapsed([ _]time)?|zeitstempel|stamp|x_value|uhrzeit|datum|date|"
     r"datenum|micros|millis|nanos|hours|minutes|days)(\.?\d+)?([_ ].*)?$",
     re.I,
 )
@@ -30,6 +30,8 @@ _ROUNDS_OF_A_DAY = (3600.0, 43200.0, 86400.0)  # of stamps without a date: mm:ss
 _DAYS = ((25_569.0, 73_051.0), (719_529.0, 767_011.0))
 """Days of 1970 to 2100 as spreadsheets and MATLAB count them."""
 _FASTEST = 1e-6  # a column of such numbers in smaller steps would be a clock of more than 1 MHz
+_FEWEST_UNITED, _FEWEST_BETWEEN = 100, 5
+_ON_GRID = 5e-3  # of a step
 _DAILY = 1.0 / 1440.0  # a minute as a day number
 
 
@@ -66,7 +68,7 @@ def clocks_joined(table: SourceTable, time: str | int | None = None) -> SourceTa
         clocks.append(time - 1)
     for index in clocks:
         _count_on(table, index)
-    return _oldest_first(table, clocks)
+    return _of_one_clock(_oldest_first(table, clocks), clocks)
 
 
 def _bare(name: str) -> str:
@@ -143,6 +145,54 @@ def _oldest_first(table: SourceTable, clocks: Sequence[int]) -> SourceTable:
         turned.columns[index].flat[:] = turned.columns[index] - turned.columns[index][0]
     turned.notes.append(f"The rows of {table.file} stand newest first; they were read in the order of time.")
     return turned
+
+
+def _of_one_clock(table: SourceTable, clocks: Sequence[int]) -> SourceTable:
+    """The rows of an even clock, where those of another one stand between them: groups of two rates in one table, with
+    values between their samples interpolated (asammdf, writing without a raster)."""
+    if len(clocks) != 1 or table.rows < _FEWEST_UNITED or clocks[0] in table.parts:
+        return table
+    time = table.columns[clocks[0]]
+    steps = np.diff(time)
+    if not np.isfinite(time).all() or not (steps > 0.0).all():
+        return table
+    step, start = float(np.median(steps)), 0.0
+    phases = np.angle(np.exp(2j * np.pi * (time[:_FEWEST_UNITED] - time[0]) / step))
+    start = float(time[0] + phases[np.argmax(_neighbours(phases))] / (2.0 * np.pi) * step)
+    for count in [_FEWEST_UNITED * 2**k for k in range(1 + int(np.log2(table.rows / _FEWEST_UNITED)))] + [table.rows]:
+        # Rounding of the stamps moves the step, more and more from row to row.
+        places = (time[:count] - start) / step
+        near = np.abs(places - np.round(places)) < 10.0 * _ON_GRID
+        if near.sum() > 2:
+            step, start = np.polyfit(np.round(places[near]), time[:count][near], 1).tolist()
+    places = (time - start) / step
+    on_grid = np.abs(places - np.round(places)) < _ON_GRID
+    numbers = np.round(places[on_grid])
+    between = np.abs(places - np.round(places))[~on_grid]
+    if (
+        not _FEWEST_BETWEEN <= between.size <= on_grid.sum()
+        or not (np.diff(numbers) == 1.0).all()
+        or float(np.median(between)) < 10.0 * _ON_GRID
+    ):
+        return table
+    rows, line_of = np.flatnonzero(on_grid), table.lines
+    table.notes.append(
+        f"{between.size} rows of {table.file} stand at instants of another clock between those of an even one of "
+        f"{1.0 / step:.6g} Hz, as where groups of two rates were written into one table; they were left out, and what "
+        "was recorded by the other clock is interpolated."
+    )
+    return dataclasses.replace(
+        table,
+        columns=tuple(np.ascontiguousarray(column[on_grid]) for column in table.columns),
+        lines=None if line_of is None else lambda row: line_of(int(rows[row])),
+        breaks=tuple(sorted({int(np.searchsorted(rows, row)) for row in table.breaks})),
+    )
+
+
+def _neighbours(angles: FloatArray) -> FloatArray:
+    """How many of angles (rad) lie within a hundredth of a turn behind each."""
+    order = np.sort(angles)
+    return np.asarray(np.searchsorted(order, angles + 0.02 * np.pi, "right") - np.searchsorted(order, angles, "left"))
 
 
 def _falls(column: FloatArray) -> bool:

@@ -299,9 +299,7 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
         run.loop = _made_states(run)
     run.notes += check_motions(run.channels, stretches, places, run.sample_rate)
     run.notes += check_physics(run.channels, stretches, run.sample_rate, run.linear)
-    run.notes += check_zeros(
-        [c.source for c in run.channels], [c.quantity for c in run.channels], [c.data for c in run.channels]
-    )
+    run.notes += check_zeros(run.channels, [(s.first, s.stop) for s in stretches], places)
     if sidecar.oscillator is not None:
         side = run.beside(sidecar.oscillator, document.place(("oscillator",)))
         run.blocks = read_block_table(side, run.first_sample, run.samples)

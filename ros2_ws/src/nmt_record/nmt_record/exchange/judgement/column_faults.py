@@ -9,10 +9,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_record.exchange.judgement.channel_checks import ImportedChannel
 from nmt_record.exchange.sidecar.import_sidecar import ChannelSection
 from nmt_record.exchange.source_table import SourceTable, split_name
 from nmt_record.exchange.unit_table import STANDARD_GRAVITY, plain_unit
@@ -25,6 +28,8 @@ _JUMP = 20.0  # to a code and back, in usual steps
 _MOST_CODES = 0.2  # of the values
 
 _WHOLE_TURNS = {"rad": 2.0 * math.pi, "deg": 360.0}
+_SIGN_BITS = (7, 9, 11, 12, 13, 14, 15, 17, 19, 21, 23, 27, 31)
+_FEWEST_SIGNS = 0.02  # share of either
 _COUNT_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)
 _NARROW = 0.25  # of the range: what is left of a step when a range is taken off
 _OVER = 1.02  # of the range: how far values reach
@@ -34,9 +39,10 @@ _HELD_RUNS = 50
 _HELD_SHARE = 0.95
 _FLAT_RUN, _FLAT_VALUES, _FLAT_LEVELS = 3, 6, 200
 _PIECES = 64
-_STEP_SPREADS = 6.0
+_LAGS, _FEWEST_FITTED, _LONGEST_FITTED = 24, 960, 1_000_000
+_CLEAR_STEP, _USUAL = 7.0, 4.5  # standard deviations: of a step, and of what it may leave near it
 _STEP_SHARE = 0.2  # of the standard deviation
-_AT_ONCE = 0.7  # of a step: what comes within a piece on either side
+_LEAST_NOISE, _CANDIDATES = 1e-4, 20
 
 
 @dataclass(frozen=True)
@@ -177,32 +183,73 @@ def flat_top(values: FloatArray) -> tuple[int, int]:
 
 
 def zero_step(values: FloatArray) -> tuple[int, float] | None:
-    """Row and size of a step of the mean that comes at once and stays; None where there is none.
+    """Row and size of a step of the mean that comes from one sample to the next and stays; None where there is none.
+
+    By generalised least squares: an autoregressive filter makes the signal white, and a step at every row, filtered by
+    it as well, is fitted with a constant. A drift must explain less, what the step leaves near it must be what the
+    signal has elsewhere, and the means on either side must differ by it.
 
     Args:
         values: a column; NaN where it has none.
     """
-    size = values.size // _PIECES
-    if size < 8:
+    coarse = -(-values.size // _LONGEST_FITTED)
+    x = _filled_means(values, coarse)
+    spread = float(np.std(x)) if x.size else 0.0
+    if x.size < _FEWEST_FITTED or not spread > 0.0:
         return None
-    pieces = values[: size * _PIECES].reshape(_PIECES, size)
-    if np.isnan(pieces).all(axis=1).any():
-        return None
-    means = np.nanmean(pieces, axis=1)
-    best: tuple[float, int, float] | None = None
-    for split in range(4, _PIECES - 3):
-        before, after = means[:split], means[split:]
-        apart = float(after.mean() - before.mean())
-        spread = math.sqrt((float(before.var()) * split + float(after.var()) * after.size) / _PIECES)
-        if best is None or abs(apart) > best[0] * max(spread, 1e-300):
-            best = abs(apart) / max(spread, 1e-300), split, apart
-    assert best is not None
-    clear, split, apart = best
-    at_once = float(np.median(means[split : split + 3]) - np.median(means[split - 3 : split]))
-    spread_of_all = float(np.nanstd(values))
-    if clear < _STEP_SPREADS or abs(apart) < _STEP_SHARE * spread_of_all or at_once / apart < _AT_ONCE:
-        return None
-    return split * size, apart
+    x = (x - x.mean()) / spread
+    size = 1 << int(2 * x.size).bit_length()
+    covariance = np.fft.irfft(np.abs(np.fft.rfft(x, size)) ** 2, size)[: _LAGS + 1] * (
+        1.0 + 1e-9 * (np.arange(_LAGS + 1) == 0)
+    )
+    whitening = np.concatenate(([1.0], -solve_toeplitz(covariance[:_LAGS], covariance[1:])))
+    white = lfilter(whitening, [1.0], x)[_LAGS:]
+    shape = np.cumsum(whitening)[:_LAGS]  # of a filtered step, until it stands still at `level`
+    level = float(whitening.sum())
+    count = white.size - _LAGS
+    line = np.arange(white.size) - 0.5 * (white.size - 1)
+    noise = max(float(np.median(np.abs(white))) / 0.6745, float(np.quantile(np.abs(white), 0.9)) / 1.645, _LEAST_NOISE)
+
+    def products(signal: FloatArray) -> FloatArray:
+        """Of a signal with the filtered step at every row."""
+        behind = np.cumsum(signal[::-1])[::-1]
+        return np.asarray(np.correlate(signal, shape, "valid")[:count] + level * behind[_LAGS:])
+
+    mean = np.full(white.size, white.size**-0.5)
+    shared = products(mean)
+    norm = np.maximum((shape**2).sum() + level**2 * (count - np.arange(count)) - shared**2, 1e-12)
+    result = products(white) - shared * float(mean @ white)
+    steps, clear = result / norm, np.abs(result) / np.sqrt(norm) / noise
+    drift = abs(float(line @ white)) / float(np.linalg.norm(line)) / noise
+    for _ in range(_CANDIDATES):
+        best = int(np.argmax(clear))
+        if clear[best] < max(_CLEAR_STEP, drift):
+            return None
+        if _stands(white, shape, level, best, float(steps[best]), noise):
+            return (best + _LAGS) * coarse, float(steps[best]) * spread
+        clear[max(0, best - _LAGS) : best + _LAGS] = 0.0
+    return None
+
+
+def _stands(white: FloatArray, shape: FloatArray, level: float, row: int, step: float, noise: float) -> bool:
+    """Whether what a step leaves near it is as elsewhere, and the means on either side differ by it."""
+    if abs(step) < _STEP_SHARE or float(np.abs(white[row : row + _LAGS] - step * shape).max()) > _USUAL * noise:
+        return False
+    near = max(_LAGS, white.size // 8)
+    before, after = white[max(0, row - near) : row], white[row + _LAGS : row + _LAGS + near]
+    if min(before.size, after.size) <= _LAGS:
+        return True
+    std = noise * math.sqrt(1.0 / before.size + 1.0 / after.size)
+    return bool(abs(after.mean() - before.mean() - level * step) < 0.3 * abs(level * step) + 3.0 * std)
+
+
+def _filled_means(values: FloatArray, count: int) -> FloatArray:
+    """Means of so many samples each, straight lines where values are missing; empty where most are."""
+    good = np.flatnonzero(np.isfinite(values))
+    if 2 * good.size <= values.size:
+        return np.empty(0)
+    filled = np.interp(np.arange(values.size), good, values[good])
+    return np.asarray(filled[: filled.size // count * count].reshape(-1, count).mean(axis=1))
 
 
 def judged_columns(
@@ -243,8 +290,17 @@ def _going_on(
 ) -> FloatArray:
     """Values whose range does not begin again."""
     name = table.names[index] or str(index + 1)
+    if channel.sign_bit:
+        return signed_values(values, channel.sign_bit)
     if channel.wrap is not None:
         return unwrapped(values, channel.wrap) if channel.wrap > 0.0 else values
+    # Before ranges that begin again: both jump, and a sign turns half of the values.
+    bits = sign_bit(values) if channel.sign_bit is None else 0
+    if bits:
+        raise BenchError(
+            f"{place}: column {name} jumps by {2.0**bits:.0f} where it changes its sign, as numbers of a sign and "
+            f"{bits} bits do; say 'sign_bit: {bits}', or 'sign_bit: 0' if they are meant so."
+        )
     turn = _WHOLE_TURNS.get(plain_unit(channel.unit)) if "scale" not in channel.model_fields_set else None
     found = None if turn is None else wrap_of(values, (turn,))
     if found is not None:
@@ -259,12 +315,6 @@ def _going_on(
             f"{place}: column {name} jumps by {found.period:.0f} at {found.jumps} places (first at "
             f"{table.place(found.first)}): numbers with a sign that were written without it, or a counter that runs "
             f"over. Say 'wrap: {found.period:.0f}' (it then goes on about zero), or 'wrap: 0' if it jumps so."
-        )
-    bits = sign_bit(values)
-    if bits:
-        raise BenchError(
-            f"{place}: column {name} jumps by {2.0**bits:.0f} where it changes its sign, as numbers of a sign and "
-            f"{bits} bits do; write them with their sign, or say 'wrap: 0' if they are meant so."
         )
     return values
 
@@ -285,19 +335,33 @@ def sign_bit(values: FloatArray) -> int:
     finite = values[np.isfinite(values)]
     if not finite.size or not np.array_equal(finite, np.round(finite)):
         return 0
-    for bits in (11, 15, 23, 31):
+    if finite.size < _FEWEST_VALUES or finite.min() < 0.0:
+        return 0
+    for bits in _SIGN_BITS:
         high = finite >= 2.0**bits
-        if not 0.05 < float(high.mean()) < 0.95 or finite.min() < 0.0 or finite.size < _FEWEST_VALUES:
+        if finite.max() >= 2.0 ** (bits + 1) or not _FEWEST_SIGNS < float(high.mean()) < 1.0 - _FEWEST_SIGNS:
             continue
-        sizes = np.where(high, finite - 2.0**bits, finite)
-        if sizes.max() < 0.5 * 2.0**bits:
-            signed = np.where(high, -sizes, sizes)
-            changes = np.flatnonzero(np.diff(high.astype(np.int8)))
-            # Where the sign changes both numbers are small.
-            steps = np.abs(np.diff(signed))
-            if changes.size > 1 and steps[changes].max() <= 4.0 * max(float(np.quantile(steps, 0.95)), 1.0):
-                return bits
+        signed = np.where(high, 2.0**bits - finite, finite)
+        changes = np.flatnonzero(np.diff(high.astype(np.int8)))
+        if changes.size < 2:
+            continue
+        # Where the sign changes both numbers are small, and so is the step: as everywhere, once the sign is right.
+        steps, jumps = np.abs(np.diff(signed)), np.abs(np.diff(finite))
+        if float(np.quantile(steps[changes], 0.9)) <= 4.0 * max(float(np.quantile(steps, 0.95)), 1.0) and float(
+            np.median(steps[changes])
+        ) < 0.5 * float(np.median(jumps[changes])):
+            return bits
     return 0
+
+
+def signed_values(values: FloatArray, bit: int) -> FloatArray:
+    """Numbers of sign and magnitude with their sign, shape (rows,).
+
+    Args:
+        values: a column; NaN where it has none.
+        bit: of the sign.
+    """
+    return np.where(values >= 2.0**bit, 2.0**bit - values, values)
 
 
 def _held_and_clipped(name: str, values: FloatArray, table: SourceTable) -> list[str]:
@@ -317,26 +381,39 @@ def _held_and_clipped(name: str, values: FloatArray, table: SourceTable) -> list
     return []
 
 
-def check_zeros(names: Sequence[str], quantities: Sequence[Quantity], signals: Sequence[FloatArray]) -> list[str]:
-    """Sentences on forces and accelerations whose zero steps while nothing else does.
+def check_zeros(
+    channels: Sequence[ImportedChannel], spans: Sequence[tuple[int, int]], places: Sequence[str]
+) -> list[str]:
+    """Forces and accelerations whose zero steps while nothing else does.
 
     Args:
-        names: of the columns.
-        quantities: of the channels.
-        signals: of each, SI units, shape (samples,).
+        channels: all of them.
+        spans: first sample and sample after the last one of each segment.
+        places: of the channels in the sidecar, for messages.
+
+    Returns:
+        Sentences on steps that no segment holds, or that the sidecar keeps.
+
+    Raises:
+        BenchError: a segment holds such a step.
     """
-    steps = [zero_step(signal) for signal in signals]
+    steps = [zero_step(channel.data) for channel in channels]
     notes = []
-    for name, quantity, step, signal in zip(names, quantities, steps, signals, strict=True):
-        if step is None or quantity not in (Quantity.FORCE, Quantity.ACCELERATION):
+    for channel, step, place in zip(channels, steps, places, strict=True):
+        if step is None or channel.quantity not in (Quantity.FORCE, Quantity.ACCELERATION):
             continue
-        near = signal.size // _PIECES * 2
+        near = channel.data.size // _PIECES * 2
         if sum(other is not None and abs(other[0] - step[0]) <= near for other in steps) > 1:
             continue  # a load that others feel, too
-        notes.append(
-            f"The zero of column {name} steps by {step[1]:.3g} {quantity.unit} near sample {step[0]}, and no other "
-            "channel does: was it tared or reset there? A window should lie on one side."
+        what = (
+            f"the zero of column {channel.source} steps by {step[1]:.3g} {channel.quantity.unit} near sample "
+            f"{step[0]}, and no other channel does: was it tared or reset there?"
         )
+        if channel.section.zero_step is None and any(first < step[0] < stop for first, stop in spans):
+            raise BenchError(
+                f"{place}: {what} Give a segment on either side of it, or say 'zero_step: keep' if the load did so."
+            )
+        notes.append(f"{what[0].upper()}{what[1:]} A window should lie on one side.")
     return notes
 
 

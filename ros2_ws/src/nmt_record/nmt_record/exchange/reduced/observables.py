@@ -19,9 +19,14 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.import_table import kind_of, read_table
-from nmt_record.exchange.reduced.uff_observables import frequency_responses, response_values, stated_unit
+from nmt_record.exchange.reduced.uff_observables import (
+    frequency_responses,
+    of_one_axis,
+    response_values,
+    stated_unit,
+)
 from nmt_record.exchange.sidecar.import_sidecar import TableKind, TableSection
-from nmt_record.exchange.source_table import SourceTable, split_name
+from nmt_record.exchange.source_table import SourceTable, split_name, split_order
 from nmt_record.exchange.unit_table import (
     REFERENCE_UNITS,
     decibels,
@@ -348,6 +353,7 @@ def _table(
 
 
 # Columns that say their unit in their name.
+_SPEED = re.compile(r"(rot(ation(al)?)?[ _.]?)?(speed|drehzahl|rpm|revs?)([ _.].*)?|n|turns", re.I)
 _WITH_UNIT = {"phase": ("phase_deg", "deg"), "phase_std": ("phase_deg_std", "deg")}
 
 
@@ -394,9 +400,37 @@ def _columns(section: TableSection, table: SourceTable, place: str) -> dict[str,
                 raise BenchError(
                     f"{place}: {name} has the unit {own} by {table.file}, but {given} by the sidecar; correct one."
                 )
-            values = values * other_factor(_KINDS[base], given or own or default, f"{place}: {name}")
+            unit = given or own or default
+            values = values * other_factor(_KINDS[base], unit, f"{place}: {name}")
+            if _KINDS[base] == "frequency":
+                values = values * _order(section, table, index, plain_unit(unit), place)
         found[name] = values
     return found
+
+
+def _order(section: TableSection, table: SourceTable, frequency: int, unit: str, place: str) -> float:
+    """Periods of the response in a turn, of a table over a speed of rotation.
+
+    Raises:
+        BenchError: a heading names an order, and the sidecar another one or none.
+    """
+    chosen = [table.index(column, place) for column in section.columns.values()]
+    headings = [table.names[i] for i in chosen or range(len(table.names)) if i != frequency]
+    named = {number: name for name in headings if (number := split_order(name)[1]) is not None}
+    turns = unit == "rpm" or bool(_SPEED.fullmatch(split_name(table.names[frequency])[0].strip()))
+    if section.order is None and turns and set(named) - {1.0}:
+        number, name = next(item for item in named.items() if item[0] != 1.0)
+        raise BenchError(
+            f"{place}: column {name} of {table.file} is order {number:g} of a rotation, so that its frequency is "
+            f"{number:g} times the speed; say 'order: {number:g}', or 'order: 1' if the column "
+            f"{table.names[frequency]} is the frequency of the response already."
+        )
+    if section.order is not None and section.order != 1.0 and len(named) == 1 and section.order not in named:
+        raise BenchError(
+            f"{place}: column {next(iter(named.values()))} of {table.file} is order {next(iter(named)):g} by its "
+            f"heading, but {section.order:g} by the sidecar; correct one."
+        )
+    return section.order or 1.0
 
 
 def _check_amplitudes(section: TableSection, table: SourceTable, place: str) -> None:
@@ -638,7 +672,7 @@ def _from_uff(section: TableSection, path: Path, place: str) -> list[ObservableT
         raise BenchError(f"{place}: {path.name} has no frequency response (function type 4).")
     tables = []
     level, _, level_unit = _level(section, place)
-    for function in functions:
+    for function in of_one_axis(functions, section.axis, f"{place}: {path.name}"):
         notes: list[str] = []
         where = f"{place}: dataset {function.number} of {path.name}"
         quantity, frequency, values = response_values(section, function, where, notes)

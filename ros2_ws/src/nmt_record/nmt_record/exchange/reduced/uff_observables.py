@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from nmt_record.exchange.unit_table import (
     unit_size,
 )
 
+_AXES = ("x", "y", "z", "rx", "ry", "rz")
 _FORCES = (0, uff.GENERAL, uff.FORCE, 9)
 
 
@@ -38,6 +40,50 @@ def stated_unit(function: uff.UffFunction) -> str:
 def frequency_responses(path: Path) -> list[uff.UffFunction]:
     """The datasets of function type 4."""
     return [function for function in uff.read_uff(path) if function.function_type == uff.FREQUENCY_RESPONSE]
+
+
+def of_one_axis(functions: Sequence[uff.UffFunction], axis: str | None, where: str) -> list[uff.UffFunction]:
+    """Frequency responses in which every node moves in one direction, which is what a point of a model does.
+
+    Args:
+        functions: of a file.
+        axis: that the sidecar chooses, None where it does not.
+        where: the segment is, for messages.
+
+    Raises:
+        BenchError: a node has several directions, and the sidecar chooses none or one that leaves none.
+    """
+    chosen = list(functions)
+    if axis is not None:
+        number = 1 + _AXES.index(axis)
+        moved = {f.reference_node for f in functions if abs(f.reference_direction) == number}
+        moved |= {f.response_node for f in functions if abs(f.response_direction) == number}
+        chosen = [
+            f
+            for f in functions
+            if abs(f.response_direction) in (0, number)
+            and (abs(f.reference_direction) in (0, number) or f.reference_node not in moved)
+        ]
+        if not chosen:
+            raise BenchError(f"{where}: it has no response in {axis.upper()}; correct 'axis'.")
+    found: dict[int, set[int]] = {}
+    for function in chosen:
+        for node, direction in (
+            (function.response_node, function.response_direction),
+            (function.reference_node, function.reference_direction),
+        ):
+            if direction:
+                found.setdefault(node, set()).add(abs(direction))
+    for node, directions in found.items():
+        if len(directions) > 1:
+            names = [
+                _AXES[number - 1].upper() if number <= len(_AXES) else str(number) for number in sorted(directions)
+            ]
+            raise BenchError(
+                f"{where}: point {node} has directions {' and '.join(names)}, and a point of the model is one of them; "
+                f"say 'axis: {names[-1].lower()}' (or another one) to take responses and forces in that direction."
+            )
+    return chosen
 
 
 def response_values(

@@ -72,6 +72,9 @@ class ChannelSection(_Section):
         delay_s: by how much the channel is late, s; it is taken out.
         wrap: range after which its numbers begin again (65536 of 16 bits, 360 of degrees); they then go on, about zero
             as far as may be. 0 = they do not begin again. Left out = whole turns of an angle are found.
+        sign_bit: bit of the sign of whole numbers that were written as sign and magnitude (15 of 16 bits). 0 = none.
+        zero_step: keep, where the zero of the channel steps and the load did so; left out = asked where a segment holds
+            such a step.
         no_value: number that stands for no value; left out = the usual codes are found.
         force_factor: of a current that is to serve as a force: N per A (N·m per A with ``force_unit``). It then stands
             wherever a measured force does.
@@ -92,6 +95,8 @@ class ChannelSection(_Section):
     sign: Literal[1, -1] | None = None
     delay_s: Annotated[float, Field(ge=-LONGEST_DELAY_S, le=LONGEST_DELAY_S)] = 0.0
     wrap: Annotated[float, Field(ge=0)] | None = None
+    sign_bit: Annotated[int, Field(ge=0, le=52)] | None = None
+    zero_step: Literal["keep"] | None = None
     no_value: float | None = None
     force_factor: Positive | None = None
     force_factor_std: Annotated[float, Field(ge=0, lt=1)] | None = None
@@ -188,6 +193,8 @@ class TableSection(_Section):
             a response alone (m/s) where ``level`` and ``level_unit`` say what was held. Left out = as the file says.
         units: of other columns, if not Hz, 1, rad: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``; of
             magnitudes in dB re 1 ``unit``, ``{magnitude: dB}``.
+        order: of a table over a speed of rotation (rpm): how many periods of the response make a turn. The frequency is
+            order × speed. Left out = 1, asked where a heading names another one.
         point: point of the response.
         drive_point: point of the force.
         level: of the whole table, if it has no such column. Of a frequency response: the amplitude (peak) that was held
@@ -201,6 +208,8 @@ class TableSection(_Section):
         scale: factor of the values before the unit applies; −1 for a sensor the other way round.
         conjugate: whether the phase is that of the convention exp(−iωt), or a lag.
         phase_shift_deg: what is added to the phase, after ``conjugate``.
+        axis: x, y or z (rx, ry, rz), of a universal file with several directions at a point: the one that a point of
+            the model is.
         turned: points of a universal file whose responses are turned (−1); left out = by its directions.
         amplitudes: whether amplitudes and level are peak, rms or peak-to-peak values.
         ordinate: magnitude, of a universal file whose frequency responses are real numbers.
@@ -212,6 +221,7 @@ class TableSection(_Section):
     file: str | None = None
     columns: dict[str, str | int] = {}
     units: dict[str, str] = {}
+    order: Positive | None = None
     point: PointNumber = 0
     drive_point: PointNumber = 0
     level: float | None = None
@@ -223,6 +233,7 @@ class TableSection(_Section):
     scale: float = 1.0
     conjugate: bool = False
     phase_shift_deg: float = 0.0
+    axis: Literal["x", "y", "z", "rx", "ry", "rz"] | None = None
     turned: list[Annotated[int, Field(ge=0)]] | None = None
     amplitudes: Literal["peak", "rms", "peak_to_peak"] = "peak"
     ordinate: Literal["magnitude"] | None = None

@@ -28,7 +28,7 @@ from nmt_record.exchange.clocks.column_clock import (
 from nmt_record.exchange.import_table import kind_of, read_table
 from nmt_record.exchange.imports.imported_run import check_proposal
 from nmt_record.exchange.judgement.channel_checks import hinted_quantity, looks_like_counts
-from nmt_record.exchange.judgement.column_faults import value_codes, wrap_of_counts
+from nmt_record.exchange.judgement.column_faults import sign_bit, value_codes, wrap_of_counts
 from nmt_record.exchange.messages.ros_bag_table import bag_tables, is_bag
 from nmt_record.exchange.reduced.uff_observables import frequency_responses
 from nmt_record.exchange.sidecar.import_sidecar import Sidecar
@@ -215,14 +215,16 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     taken: set[tuple[Quantity | str, int]] = set()
     for index in channels:
         guess, values, scaling = guesses[index], table.columns[index], table.scalings[index]
-        begins_again = None if guess.quantity in ("angle", "displacement") else wrap_of_counts(values)
+        signed = sign_bit(values)
+        begins_again = None if signed or guess.quantity in ("angle", "displacement") else wrap_of_counts(values)
         point, measured = guess.point, guess.quantity and measured_quantity(guess.quantity)
         if table.judged and not guess.quantity:
             point = 1  # whatever it measures, no other channel measures the same there
-        while (measured, point) in taken:
+        asked = table.points[index] < 0
+        while (measured, point) in taken and not asked:
             point += 1
         mark = "  - " if index in kept else "  # - "
-        if index in kept:
+        if index in kept and not asked:
             taken.add((measured, point))
         words = [
             f"column: {column_of(table, index)}",
@@ -232,7 +234,8 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
             *([f"scale: {guess.scale:.9g}"] if guess.scale != 1.0 else []),
             *(["sign: -1"] if scaling.sign < 0 else []),
             *([f"wrap: {ASK}"] if begins_again is not None else []),
-            *([f"point: {point}"] if point else []),
+            *([f"sign_bit: {signed}"] if signed else []),
+            *([f"point: {ASK}"] if asked else [f"point: {point}"] if point else []),
         ]
         still = not np.nanmax(values) > np.nanmin(values)
         twice = any(_same(values, table.columns[other]) for other in kept if other < index)
@@ -249,6 +252,7 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
         why += f"; without {int(codes[index].sum())} codes of no value" if codes[index].any() else ""
         if begins_again is not None:
             why += f"; it jumps by {begins_again.period:.0f}: wrap of numbers without their sign or of a counter, or 0"
+        why += f"; guessed: sign and magnitude, bit {signed} is the sign" if signed else ""
         why += _CURRENT if guess.quantity == "current" else ""
         why += _unknown_unit(table, index) if not guess.unit else ""
         why = why or ("; the model's coordinate is then in rad or a strain" if coordinate_of_unit(guess.unit) else "")
@@ -411,7 +415,7 @@ def _guess(table: SourceTable, index: int) -> _Guess:
     letter = _LETTER.fullmatch(name)
     digits = re.search(r"(\d+)$", name)
     point = int(digits.group(1)) if digits and 0 < len(digits.group(1)) < 4 and name != digits.group(1) else 1
-    point = table.points[index] or point
+    point = max(table.points[index], 0) or point
     found = _SENSITIVITY.search(table.names[index])
     if found and plain_unit(unit) in ("V", "mV", "") and float(found[1]) > 0.0:
         sensor = quantity_of_unit(found[3])

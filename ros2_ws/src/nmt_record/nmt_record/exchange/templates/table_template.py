@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from nmt_record.exchange.arrays import uff
 from nmt_record.exchange.clocks.column_clock import bare_name
 from nmt_record.exchange.reduced.observables import amplitudes_by_name, percent_by_name
 from nmt_record.exchange.reduced.uff_observables import stated_unit
-from nmt_record.exchange.source_table import SourceTable
+from nmt_record.exchange.source_table import SourceTable, split_order
 from nmt_record.exchange.unit_table import (
     decibels,
     inverse_unit,
@@ -30,6 +31,7 @@ _FREQUENCY = re.compile(r"(f|fr?eq(uency)?|frequenz)([ _]?(hz|khz))?|hz|hertz", 
 # Also quantities of time data: they count only beside responses, or with a unit of frequency.
 _TURNING = re.compile(r"omega|ω|w|(circular|angular)[ _]freq(uency)?|speed|rpm|drehzahl|f.*", re.I)
 FREQUENCY_UNITS = ("Hz", "kHz", "mHz", "rad/s", "rpm")
+_SPEED = re.compile(r"(rotation(al)?[ _])?(speed|rpm|drehzahl|revs?)([ _]?(rpm|mean|avg))?", re.I)
 _SUFFIX = r"([ _]?\(.*\))?"
 # In this order: a damping ratio is no magnitude.
 _MEMBERS = {
@@ -94,11 +96,16 @@ def frequency_columns(table: SourceTable, time: Sequence[int]) -> list[int]:
         responses = sum(_member_of(table, i) in ("real", "imag", "magnitude", "phase") for i in every)
         by_unit = [i for i in every if units[i] in FREQUENCY_UNITS and _TURNING.fullmatch(names[i])]
         named = by_unit[:1] if responses >= 2 else []
+    if not named and any(split_order(table.names[i])[1] for i in every):
+        named = [i for i in every if _SPEED.fullmatch(names[i]) or units[i] == "rpm"][:1]
     return named if named and bool((table.columns[named[0]] >= 0.0).all()) else []
 
 
 def _member_of(table: SourceTable, index: int) -> str:
     name = bare_name(table, index) or "-"
+    name, order = split_order(name)
+    if order is not None and not name:
+        name = "amplitude"
     if name == "Q":
         return "quality_factor"
     member = next((member for member, words in _MEMBERS.items() if re.fullmatch(words, name, re.I)), "")
@@ -107,10 +114,40 @@ def _member_of(table: SourceTable, index: int) -> str:
 
 
 def table_proposal(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
-    """Lines of the segments of a table of reduced data."""
+    """Lines of the segments of a table of reduced data; of one of orders over a speed, a segment for each order."""
+    orders = _orders(table, frequencies)
+    if orders:
+        lines: list[str] = []
+        for number, columns in orders.items():
+            others = [i for i in range(len(table.names)) if i not in columns and i not in frequencies]
+            part = replace(table, parts=tuple(sorted({*table.parts, *others})))
+            found = _table_lines(part, frequencies[0])
+            speed = plain_unit(table.units[frequencies[0]]) == "rpm"
+            keys = [] if speed else ["    units: {frequency_hz: rpm}   # guessed"]
+            keys.append(f"    order: {number:g}              # by the heading: the frequency is order × speed")
+            kind = f"  - kind: {ASK}   # frf of what a level held, or backbone" if "backbone" in found[1] else found[1]
+            lines += [kind, found[2], *keys, *found[3:]]
+        return ["segments:", *lines]
     return (
         _held_lines(table, frequencies) or _matrix_lines(table, frequencies[0]) or _table_lines(table, frequencies[0])
     )
+
+
+def _orders(table: SourceTable, frequencies: Sequence[int]) -> dict[float, list[int]]:
+    """Columns of each order of a rotation; one without an order belongs to the one before it. Empty without orders."""
+    found: dict[float, list[int]] = {}
+    present: float | None = None
+    if not frequencies or plain_unit(table.units[frequencies[0]]) not in ("rpm", "1", ""):
+        return {}
+    if not table.units[frequencies[0]] and not _SPEED.fullmatch(bare_name(table, frequencies[0])):
+        return {}
+    for index, name in enumerate(table.names):
+        if index in frequencies or index in table.parts:
+            continue
+        present = split_order(name)[1] or present
+        if present is not None:
+            found.setdefault(present, []).append(index)
+    return found
 
 
 def _matrix_lines(table: SourceTable, frequency: int) -> list[str]:

@@ -15,13 +15,16 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_ARRAYS, LARGEST_TABLE, open_regular
 from nmt_core.numerics.arrays import FloatArray
 from nmt_record.exchange.clocks.text_stamps import StampReader, date_columns, is_date, is_stamp, joined_stamps
-from nmt_record.exchange.source_table import AS_IT_IS, Scaling, SourceTable
+from nmt_record.exchange.source_table import AS_IT_IS, Scaling, SourceTable, split_name
 from nmt_record.exchange.text.text_form import INFINITE, MISSING, TextForm, form_of, refuse_split_decimals
 from nmt_record.exchange.text.text_heading import Heading, clock_of_heading, heading_of, scaling_of_heading
 from nmt_record.exchange.unit_table import plain_unit
 
 _MOST_ROWS_ACROSS = 64  # of a table whose channels are rows
 _FEWEST_ACROSS = 100  # numbers in each of them
+_MOST_SERIES = 64  # of a table in the long form
+_SERIES = re.compile(r"topic|series|signal|channel|name|variable|sensor|parameter|label|source|key|id", re.I)
+_VALUE = re.compile(r"values?|y|reading|data|measurement|wert", re.I)
 _LONGEST_FOOT = 30  # lines behind the numbers
 _LONGEST_HEAD = 200  # lines before them
 _LARGEST = LARGEST_TABLE // 2  # bytes of a text whose lines are all looked at
@@ -168,6 +171,8 @@ class _Text:
         for row in breaks:
             before = f"after line {place[row - 1]}" if place is not None and row else "at its begin"
             notes.append(f"The header of {name} is repeated {before}; that line was left out.")
+        if series := self._series(rows, words, heading, kept):
+            return self._wide(series, table, heading, words)
         columns = tuple(np.ascontiguousarray(column) for column in table.T)
         for i in rows.stamps:
             columns[i].flat[:] = columns[i] - (columns[i][0] if np.isfinite(columns[i][0]) else 0.0)
@@ -274,7 +279,8 @@ class _Text:
         if rows.stamps:
             listed = ", ".join(names[i] or str(i + 1) for i in rows.stamps)
             self.notes.append(
-                f"Column {listed} of {name} holds dates or times of day; they were read as seconds after the first."
+                f"Column {listed} of {name} holds dates, times of day or durations; they were read as seconds after "
+                "the first."
             )
         for time, date in rows.dates.items():
             self.notes.append(
@@ -282,6 +288,49 @@ class _Text:
                 f"{names[time] or time + 1}."
             )
         return tuple(words)
+
+    def _series(self, rows: _Rows, words: Sequence[int], heading: Heading, kept: list[int] | None) -> tuple[str, ...]:
+        """Series that each row of a table in the long form belongs to; empty where it is none."""
+        named = [i for i in words if _SERIES.fullmatch(heading.names[i])]
+        others = [i for i in range(len(heading.names)) if i not in words]
+        values = [i for i in others if _VALUE.fullmatch(split_name(heading.names[i])[0])]
+        if len(named) != 1 or len(values) != 1 or rows.stamps:
+            return ()
+        lines = rows.lines if kept is None else [rows.lines[row] for row in kept]
+        found = tuple(self.form.cells(line)[named[0]] for line in lines)
+        return found if 1 < len(set(found)) <= _MOST_SERIES else ()
+
+    def _wide(self, series: Sequence[str], table: FloatArray, heading: Heading, words: Sequence[int]) -> SourceTable:
+        """Columns of a table in the long form: its times, and the values of each series.
+
+        Raises:
+            BenchError: the times of the series differ.
+        """
+        names = heading.names
+        value = next(i for i in range(len(names)) if i not in words and _VALUE.fullmatch(split_name(names[i])[0]))
+        times = [i for i in range(len(names)) if i not in words and i != value]
+        marks = np.array(series)
+        groups = {name: table[marks == name] for name in dict.fromkeys(series)}
+        first = next(iter(groups.values()))
+        listed = ", ".join(list(groups)[:4]) + (", …" if len(groups) > 4 else "")
+        same = [i for i in times if all(np.array_equal(part[:, i], first[:, i]) for part in groups.values())]
+        if not same:
+            raise BenchError(
+                f"{self.name} is in the long form, a row for each value of {len(groups)} series ({listed}), and their "
+                "times differ: save the rows of each series as a table of its own, and import one at a time."
+            )
+        self.notes[:] = [note for note in self.notes if "holds words" not in note]
+        self.notes.append(
+            f"{self.name} is in the long form, a row for each value of {len(groups)} series ({listed}); each was read "
+            "as a column."
+        )
+        place = np.flatnonzero(marks == series[0])
+        columns = [*(first[:, i] for i in same), *(part[:, value] for part in groups.values())]
+        return SourceTable(
+            self.name, (*(names[i] for i in same), *groups), tuple(map(np.ascontiguousarray, columns)),
+            (*(heading.units[i] for i in same), *[heading.units[value]] * len(groups)), notes=self.notes,
+            lines=lambda row: self.line_of(int(place[row])), parts=tuple(range(1, len(same))),
+        )  # fmt: skip
 
     def _plain_lines(self, rows: _Rows, words: Sequence[int], header: set[str]) -> list[str]:
         """Lines of plain numbers, in which stamps are seconds and words are missing.

@@ -73,7 +73,7 @@ def motion(random: Random, folder: Path, slides: bool = False, reach: float = 1.
         bodies += f'<body pos="0 0 0.1"><joint name="{name}" type="{kind}" axis="0 1 0" range="{limits}"/>'
         bodies += '<inertial pos="0.05 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
         tail += "</body>"
-    robot = folder / "robot.xml"
+    robot = folder.parent / f"{joints[0]}{'_slide' * slides}.xml"
     robot.write_text(
         f'<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{bodies}{tail}</worldbody></mujoco>'
     )
@@ -453,8 +453,9 @@ def test_the_gains_of_the_model_are_offered_where_the_log_has_none(tmp_path: Pat
     case = commands_by_name(np.random.default_rng(5), tmp_path)
     first = case.joints[0]
     drive = f'<actuator><position joint="{first}" kp="90" kv="3" gear="2"/></actuator></mujoco>'
-    case.robot.write_text(case.robot.read_text().replace("</mujoco>", drive))
-    (question,) = propose_sidecar(case.log, case.robot, tmp_path).questions
+    robot = tmp_path / "with_drives.xml"
+    robot.write_text(case.robot.read_text().replace("</mujoco>", drive))
+    (question,) = propose_sidecar(case.log, robot, tmp_path).questions
     assert f"the model states {first} 360 and 12" in question
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,8 @@ from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.log.robot_sidecar import read_robot_sidecar
 
 Random = np.random.Generator
-# Each robot is compiled once.
+# Each robot is compiled once in a process: what is compiled is kept by path and text.
+_FOLDER = TemporaryDirectory()
 _ROBOTS = (
     ("pan", "lift", "elbow"),
     ("panda_joint1", "panda_joint2", "panda_joint3", "panda_joint4", "panda_joint5", "panda_joint6"),
@@ -73,7 +75,7 @@ def motion(random: Random, folder: Path, slides: bool = False, reach: float = 1.
         bodies += f'<body pos="0 0 0.1"><joint name="{name}" type="{kind}" axis="0 1 0" range="{limits}"/>'
         bodies += '<inertial pos="0.05 0 0" mass="1" diaginertia="0.01 0.01 0.01"/>'
         tail += "</body>"
-    robot = folder.parent / f"{joints[0]}{'_slide' * slides}.xml"
+    robot = Path(_FOLDER.name) / f"{joints[0]}{'_slide' * slides}.xml"
     robot.write_text(
         f'<mujoco><compiler angle="radian" autolimits="true"/><worldbody>{bodies}{tail}</worldbody></mujoco>'
     )

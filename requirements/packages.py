@@ -61,7 +61,7 @@ LIBRARIES = {
     "matplotlib": Library("matplotlib", ">=3.6", "python3-matplotlib", "python3-matplotlib"),
     "mcap": Library("mcap", ">=1.1"),
     "nfoursid": Library("nfoursid", ">=1.0.2", extra="identification"),
-    "mujoco": Library("mujoco", ">=3.3", extra="robots"),
+    "mujoco": Library("mujoco", ">=3.3.7", extra="robots"),
     # rosdep knows python3-numba for older Ubuntus only.
     "nidaqmx": Library("nidaqmx", ">=1.0", extra="hardware"),
     "numba": Library("numba", ">=0.59"),

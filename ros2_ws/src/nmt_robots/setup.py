@@ -12,7 +12,7 @@ setup(
     install_requires=[
         "jinja2>=3.1",
         "matplotlib>=3.6",
-        "mujoco>=3.3",
+        "mujoco>=3.3.7",
         "numpy>=1.26",
         "pydantic>=2.5",
         "scipy>=1.11",

@@ -20,5 +20,6 @@ def test_a_late_speed_is_the_fault_of_the_log(tmp_path: Path) -> None:
     diagnosis = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")
     (finding,) = [finding for finding in diagnosis.findings if finding.key == "velocity_late"]
     assert finding.size == pytest.approx(0.008, rel=0.1)
-    assert diagnosis.reading.derived
+    # Within a delay of 1 ms damping by the derivative explains the torque as well.
+    assert any(reading.derived for reading in (diagnosis.reading, *diagnosis.as_well))
     assert not diagnosis.joints[0].differs

@@ -332,10 +332,14 @@ class _Clock:
         return float(np.interp(sample, self._samples, self._values))
 
 
+_OF_A_RUN = {"plan", "linear", "extraction"}
+"""Keys of the start record of a run; a recorder that a bridge feeds writes none of them."""
+
+
 def _is_without_run(bag: Bag) -> bool:
     """Whether no run drove what a bag holds, or marked a window in it."""
     marked = any(bag.topics.get(topic, ("", 0))[1] for topic in ("lock", "level", "frequency", "run_state"))
-    return not marked and "plan" not in (bag.run_start or {})
+    return not marked and not _OF_A_RUN & (bag.run_start or {}).keys()
 
 
 def _records(bag: Bag) -> list[LockEvent]:

@@ -23,6 +23,7 @@ _CAUSES_AT_MOST = 4
 _ALIKE = 10.0
 """Difference of the criterion, odds of 150, up to which another cause does as well in the place of the first."""
 _FALLS = frozenset({"stribeck", "changing_friction"})
+_SLOW_AND_FAST = (0.02, 0.95)  # of the rows, by speed: between these friction that falls with speed is stated
 _FORM_AS_WELL = 1.05
 """Torque left by another form of the same effect against that of the chosen one, up to which it widens the ±."""
 _MOSTLY_OTHERS = 0.1
@@ -268,15 +269,19 @@ class JointProblem:
         others = [item for item in effects if item is not effect]
         forms = [effect, *(item for item in self.rivals if item.key == effect.key and item is not effect)]
         speed, rows = self.motion.v[self._rows, self.joint], np.flatnonzero(self._rows)
-        slow, fast = (float(x) for x in np.quantile(np.abs(speed), (0.02, 0.95)))
-        order = np.argsort(np.abs(speed)) if effect.key == "stribeck" else np.arange(len(rows))
+        slow, fast = (float(x) for x in np.quantile(np.abs(speed), _SLOW_AND_FAST))
         count = max(len(rows) // 50, 1)
+        if effect.key == "stribeck":  # the rows about each of the two speeds
+            order = np.argsort(np.abs(speed))
+            ends = [order[max(0, int(rank * len(order)) - count // 2) :][:count] for rank in _SLOW_AND_FAST]
+        else:
+            ends = [np.arange(count), np.arange(len(rows) - count, len(rows))]
         falls, lefts = [], []
         for form in forms:
             matrix = self.columns([*others, form])
             values, _, _ = solve(matrix, self.left, never_negative([*others, form]))
             friction = form.columns[rows, 0] * np.sign(speed) * values[-1]
-            falls.append(float(np.mean(friction[order[:count]]) - np.mean(friction[order[-count:]])))
+            falls.append(float(np.mean(friction[ends[0]]) - np.mean(friction[ends[1]])))
             lefts.append(_rms(self.left - matrix @ values))
         as_well = [fall for fall, left in zip(falls, lefts, strict=True) if left < _FORM_AS_WELL * lefts[0]]
         place = sum(item.parameters for item in effects[: effects.index(effect)])

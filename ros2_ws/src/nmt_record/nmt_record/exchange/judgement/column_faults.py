@@ -43,6 +43,7 @@ _LAGS, _FEWEST_FITTED, _LONGEST_FITTED = 24, 960, 1_000_000
 _CLEAR_STEP, _USUAL = 7.0, 4.5  # standard deviations: of a step, and of what it may leave near it
 _STEP_SHARE = 0.2  # of the standard deviation
 _LEAST_NOISE, _CANDIDATES = 1e-4, 20
+_ALIKE, _MOST_JUMPS = 0.4, 500  # of a step: another jump of the same kind; how many are looked at
 
 
 @dataclass(frozen=True)
@@ -226,6 +227,8 @@ def zero_step(values: FloatArray) -> tuple[int, float] | None:
         if clear[best] < max(_CLEAR_STEP, drift):
             return None
         if _stands(white, shape, level, best, float(steps[best]), noise):
+            if _jumps_elsewhere(white, shape, best, float(steps[best]), noise):
+                return None
             return (best + _LAGS) * coarse, float(steps[best]) * spread
         clear[max(0, best - _LAGS) : best + _LAGS] = 0.0
     return None
@@ -241,6 +244,18 @@ def _stands(white: FloatArray, shape: FloatArray, level: float, row: int, step: 
         return True
     std = noise * math.sqrt(1.0 / before.size + 1.0 / after.size)
     return bool(abs(after.mean() - before.mean() - level * step) < 0.3 * abs(level * step) + 3.0 * std)
+
+
+def _jumps_elsewhere(white: FloatArray, shape: FloatArray, row: int, step: float, noise: float) -> bool:
+    """Whether the signal jumps elsewhere as well, as dry friction does at every reversal: no zero was set anew."""
+    energy = float((shape**2).sum())
+    local = np.correlate(white, shape, "valid") / energy
+    rows = np.flatnonzero(
+        (np.abs(local) > _ALIKE * abs(step)) & (np.abs(local) * math.sqrt(energy) > _CLEAR_STEP * noise)
+    )
+    rows = rows[np.abs(rows - row) > _LAGS]
+    misfit = [float(np.abs(white[it : it + _LAGS] - local[it] * shape).max()) for it in rows[:_MOST_JUMPS]]
+    return any(it < _USUAL * noise for it in misfit)
 
 
 def _filled_means(values: FloatArray, count: int) -> FloatArray:

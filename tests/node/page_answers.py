@@ -281,7 +281,10 @@ def linear_test_of_the_joint(folder: Path) -> None:
 
 
 def _mac(folder: Path, name: str, least: float) -> None:
-    assert points(folder, name).mac.min() > least
+    """The mode is isolated: linear at the lowest level; a joint changes its shape at higher ones."""
+    mac = points(folder, name).mac.to_numpy()
+    assert mac[0] > 0.999
+    assert mac.min() > least
 
 
 READER = "the reader's converter, sensors or machines"
@@ -586,14 +589,14 @@ ANSWERS: dict[str, dict[str, Answer]] = {
     "docs/how-to/several-exciters.md": {
         "./nmt linear frame --near 100 --out out/linear": Answer(holds=modes_near_each_other),
         "./nmt run frame --linear out/linear/linear.json --out out/frame": Answer(
-            prints=(r"levels locked and extracted",), holds=lambda folder: _mac(folder, "out/frame", 0.99)
+            prints=(r"levels locked and extracted",), holds=lambda folder: _mac(folder, "out/frame", 0.94)
         ),
         "./nmt run frame --set test.mode=2 --out out/torsion": Answer(
-            prints=(r"levels locked and extracted",), holds=lambda folder: _mac(folder, "out/torsion", 0.99)
+            prints=(r"levels locked and extracted",), holds=lambda folder: _mac(folder, "out/torsion", 0.94)
         ),
-        "./nmt run frame --exciter 1 --out out/one": Answer(prints=(r"levels locked and extracted",)),
+        "./nmt run frame --exciter 1 --out out/one": Answer(prints=(r"8 another mode",), code=3),
         "./nmt run beam_two_shakers --out out/beam": Answer(
-            prints=(r"levels locked and extracted",), holds=lambda folder: _mac(folder, "out/beam", 0.999)
+            prints=(r"levels locked and extracted",), holds=lambda folder: _mac(folder, "out/beam", 0.94)
         ),
     },
     "docs/how-to/several-units.md": {

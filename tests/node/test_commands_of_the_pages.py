@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from docs.test_command_blocks import BLOCK, LINES, ROOT, block_lines, words_of
+from docs.test_command_blocks import BLOCK, LINES, ROOT, START, words_of
 from node.page_answers import ANSWERS, TESTS, Answer, page_text
 
 from nmt_bench.cli import main
@@ -71,10 +71,10 @@ def lines_of(page: str) -> list[str]:
     """Commands of a page in order, copies of files among them; what a command prints is none."""
     lines = []
     for match in BLOCK.finditer(page_text(page)):
-        for line in match[2].splitlines():
-            if line.startswith("cp "):
-                lines.append(line.strip())
-        lines += [line_of(line) for line in block_lines(match[0])]
+        for line in re.sub(r"\\\n\s*", " ", match[2]).splitlines():
+            line = line.strip().removeprefix("$ ")
+            if line.startswith("cp ") or START.match(line):
+                lines.append(line_of(line))
     return [line for line in lines if line in ANSWERS[page]]
 
 

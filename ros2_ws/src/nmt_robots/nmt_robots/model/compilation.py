@@ -6,7 +6,6 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -31,6 +30,9 @@ LARGEST_FILE = 2**24
 _LARGEST_MODEL = 2**28
 _LONGEST = 60
 """Bytes of a robot's file and of its compiled model, and seconds that compiling it may take."""
+_MOST_ANSWERS = 32
+_ANSWERS: dict[str, tuple[bytes, str]] = {}
+"""Models and facts of texts that need no mesh, by text, joints and followers."""
 
 
 @dataclass(frozen=True)
@@ -135,30 +137,31 @@ def compiled(
     Raises:
         BenchError: MuJoCo refuses it, a mesh that gives mass is missing, or it needs too much memory or time.
     """
-    followers = [[item.joint, item.driver, item.ratio, item.offset] for item in moved]
-    request = {
+    question = {
         "text": robot.kept,
-        "folder": str(robot.path.parent.absolute()),
         "keep": None if joints is None else list(joints),
-        "followers": followers,
+        "followers": [[item.joint, item.driver, item.ratio, item.offset] for item in moved],
     }
+    key = json.dumps(question)
+    answer = _ANSWERS.get(key) or _answer(str(robot.path), question | {"folder": str(robot.path.parent.absolute())})
+    if not json.loads(answer[1])["meshes"]:  # a mesh may change while the text stays
+        _ANSWERS[key] = answer
+        if len(_ANSWERS) > _MOST_ANSWERS:
+            del _ANSWERS[next(iter(_ANSWERS))]
     with TemporaryDirectory() as folder:
-        # A mesh may change under the same request.
-        ask = _answer.__wrapped__ if "<mesh" in robot.kept else _answer
-        binary, facts = ask(str(robot.path), json.dumps(request))
         target = Path(folder) / "robot.mjb"
-        target.write_bytes(binary)
-        return mujoco.MjModel.from_binary_path(str(target)), json.loads(facts)
+        target.write_bytes(answer[0])
+        return mujoco.MjModel.from_binary_path(str(target)), json.loads(answer[1])
 
 
-@lru_cache(maxsize=8)
-def _answer(name: str, request: str) -> tuple[bytes, str]:
-    """Bytes of the model and facts of a child; the same request is compiled once."""
+def _answer(name: str, request: dict[str, Any]) -> tuple[bytes, str]:
+    """Bytes of the model and facts of a child."""
     with TemporaryDirectory() as place:
         folder = Path(place)
         try:
             words = (str(_LARGEST_MODEL), str(_LONGEST))
-            run_limited("nmt_robots.model.robot_child", words, _LONGEST, request.encode(), folder=folder)
+            source = json.dumps(request).encode()
+            run_limited("nmt_robots.model.robot_child", words, _LONGEST, source, folder=folder)
         except ChildError as failure:
             if failure.is_memory:
                 raise BenchError(

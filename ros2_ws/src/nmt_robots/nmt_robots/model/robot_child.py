@@ -45,7 +45,7 @@ def compiled(request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         if body.gravcomp:
             facts["gravcomp"].append(_name(body))
             body.gravcomp = 0.0
-    _load_meshes(spec, Path(request["folder"]))
+    facts["meshes"] = _load_meshes(spec, Path(request["folder"]))
     stated = _stated_inertias(spec, facts["impossible"])
     if request["keep"] is not None:
         _keep_only(spec, request["keep"], request["followers"])
@@ -101,8 +101,8 @@ def _moves(body: Any) -> bool:
     return False
 
 
-def _load_meshes(spec: Any, folder: Path) -> None:
-    """Load meshes that give mass and take all others out.
+def _load_meshes(spec: Any, folder: Path) -> bool:
+    """Load meshes that give mass and take all others out; whether there are any that do.
 
     Raises:
         BenchError: one of them is not there.
@@ -122,6 +122,7 @@ def _load_meshes(spec: Any, folder: Path) -> None:
             spec.delete(mesh)
     spec.compiler.meshdir = ""
     spec.assets = loaded
+    return bool(needed)
 
 
 def _content(spec: Any, mesh: Any, folder: Path, geom: Any) -> dict[str, bytes]:

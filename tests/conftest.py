@@ -16,7 +16,11 @@ from pathlib import Path
 
 import pytest
 
-from nmt_bench.orchestration.bench_domain import BenchDomain
+# Read when numpy is imported: several workers with several threads each would wait for one another most of the time.
+for _variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+from nmt_bench.orchestration.bench_domain import BenchDomain  # noqa: E402
 
 pytest_plugins = ("tiers",)
 TESTS = Path(__file__).resolve().parent

@@ -18,6 +18,7 @@ from bench.frame_reader import read_frame
 
 from nmt_bench.commands.investigate_command import InvestigateOptions, _Bench
 from nmt_bench.page.bench_link import NoBench
+from nmt_bench.page.live_view import LiveView
 from nmt_bench.page.server import PageServer
 from nmt_bench.page.task_answers import TaskAnswers
 from nmt_bench.page.task_feed import task_page
@@ -27,7 +28,7 @@ from nmt_diagnose.investigation.investigation_record import AskedTest, Investiga
 
 
 @asynccontextmanager
-async def page(view: TaskView) -> AsyncIterator[tuple[PageServer, aiohttp.ClientSession]]:
+async def page(view: TaskView | LiveView) -> AsyncIterator[tuple[PageServer, aiohttp.ClientSession]]:
     server = PageServer(view, NoBench())
     await server.start()
     try:
@@ -50,7 +51,7 @@ async def posted(server: PageServer, client: aiohttp.ClientSession, answer: Any,
 
 def test_what_is_asked_is_answered_once_and_a_stop_is_always_taken() -> None:
     words: list[str] = []
-    view = TaskView(answered=words.append)
+    view = TaskView(words.append)
 
     async def test() -> None:
         async with page(view) as (server, client):
@@ -72,9 +73,9 @@ def test_what_is_asked_is_answered_once_and_a_stop_is_always_taken() -> None:
 
 
 def test_nobody_else_answers() -> None:
-    """Who only watches, pages of others, and pages of work that asks nothing."""
+    """Who only watches, pages of others, and pages of other work."""
     words: list[str] = []
-    view = TaskView(answered=words.append)
+    view = TaskView(words.append)
     view.take({"question": "mode 2"})
 
     async def test() -> None:
@@ -87,7 +88,7 @@ def test_nobody_else_answers() -> None:
             assert await posted(server, client, "yes", "http://127.0.0.1:1") == (
                 403, "Only the page of this server may ask for this.",
             )  # fmt: skip
-        async with page(TaskView()) as (server, client):
+        async with page(LiveView()) as (server, client):
             await client.get(server.steer_address)
             assert (await posted(server, client, "yes"))[0] == 404
 
@@ -96,7 +97,7 @@ def test_nobody_else_answers() -> None:
 
 
 def test_the_timeline_takes_points_only() -> None:
-    view = TaskView()
+    view = TaskView(lambda _: None)
     view.take({"timeline": {"gap": [[10.0, 0.5], [20.0, 0.99], [30.0, 2.0], ["x", 1.0], [1.0]], "none": 3}})
     assert read_frame(view.facts())[0]["timeline"] == {"gap": [[10.0, 0.5], [20.0, 0.99]]}
 
@@ -145,7 +146,7 @@ def test_a_question_of_an_investigation_reaches_its_page_and_comes_back(
     bench = _Bench(InvestigateOptions(model="beam", out=tmp_path), SimpleNamespace(), 1, console)  # type: ignore[arg-type]
     asked = AskedTest("03_levels", TestRequest(rig="beam"), "the same levels on mode 2", "tells a from b", seconds=12.0)
     turn = Turn(2, 60.0, 9.0, "effect", {"gap": 0.7, "none": 0.3}, "which")
-    with task_page(True, "Investigation of beam", console, asks=True) as bench._feed, open(os.devnull) as nothing:
+    with task_page(True, "Investigation of beam", console) as bench._feed, open(os.devnull) as nothing:
         bench._answers = TaskAnswers(bench._feed.answers)
         monkeypatch.setattr("sys.stdin", nothing)
         bench._tell_page(InvestigationRecord("beam", "real.yaml", tests=(asked,), turns=(turn,)))

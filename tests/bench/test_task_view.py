@@ -1,4 +1,4 @@
-"""The progress page of commands that compute: what they tell, through the pipe, and a diagnosis's own telling."""
+"""The page of an investigation: what it tells, through the pipe; and runs that a page asks for."""
 
 from __future__ import annotations
 
@@ -12,14 +12,12 @@ import aiohttp
 import pytest
 from bench.frame_reader import read_frame
 
-from nmt_bench.commands.diagnose_command import tell_of
 from nmt_bench.page.start_goal import StartRequest, goal_of, start_request
 from nmt_bench.page.task_feed import TaskFeed, task_page
 from nmt_bench.page.task_view import TaskView
 from nmt_core.errors import BenchError
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.search.progress import ProgressSentence
 
 
 def heads(view: TaskView) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -28,36 +26,35 @@ def heads(view: TaskView) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def test_what_a_command_tells_arrives_with_its_times() -> None:
     now = [0.0]
-    view = TaskView(clock=lambda: now[0])
+    view = TaskView(lambda _: None, lambda: now[0])
     reading, writing = os.pipe()
     feed = TaskFeed(writing)
     with os.fdopen(reading, "rb") as pipe:
-        feed.tell(title="Diagnosis of beam")
+        feed.tell(title="Investigation of beam")
         feed.step("reading")
-        feed.step("fitting gap@7", 0, 4)
+        feed.step("fitting gap@7")
         for _ in range(3):
             view.take_line(pipe.readline())
         now[0] = 10.0
-        feed.step("fitting cubic@3", 1, 4)
+        feed.step("fitting cubic@3")
         feed.table(("explanation", "ln"), [("gap@7", "best"), ("none", "40.0 behind")])
         for _ in range(2):
             view.take_line(pipe.readline())
         now[0] = 20.0
         facts, live = heads(view)
         os.close(writing)
-    assert facts["title"] == "Diagnosis of beam"
+    assert facts["title"] == "Investigation of beam"
     assert [step["text"] for step in facts["steps"]] == ["reading", "fitting gap@7", "fitting cubic@3"]
     assert [step["took"] for step in facts["steps"]] == ["0.0\u202fs", "10.0\u202fs", ""]
     assert facts["rows"] == [["gap@7", "best"], ["none", "40.0 behind"]]
-    assert (live["present"], live["done"], live["total"]) == ("fitting cubic@3", 1, 4)
-    assert live["left"].startswith("1\u202fmin")  # one in 20 s, three to come
+    assert live["present"] == "fitting cubic@3"
     view.end()
     assert "has ended" in heads(view)[0]["outcome"]
 
 
 @pytest.mark.parametrize("line", [b"", b"[1]", b"{", b'{"step": 3, "done": "x", "total": [], "rows": {}}', b"[" * 9999])
 def test_strange_lines_break_nothing(line: bytes) -> None:
-    view = TaskView()
+    view = TaskView(lambda _: None)
     view.take_line(line)
     json.dumps(heads(view))
 
@@ -71,12 +68,6 @@ def test_a_page_that_is_gone_or_hangs_stops_no_command() -> None:
     feed.step("nobody is there")
     os.close(writing)
     TaskFeed().step("no page")
-
-
-def test_a_sentence_of_progress_may_carry_more() -> None:
-    told = ProgressSentence("fitting gap@7", 2, 9, [("gap@7", 0.0)])
-    assert told == "fitting gap@7"
-    assert (told.done, told.total, told.ranking) == (2, 9, (("gap@7", 0.0),))
 
 
 def test_a_run_from_the_page_is_the_run_before_with_other_levels() -> None:
@@ -135,14 +126,14 @@ def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
                         return head
         raise AssertionError("the page has ended")
 
-    with task_page(True, "Diagnosis of beam", console) as page:
-        (line,) = said
-        address = line.partition(": ")[2]
-        tell_of(page, "reading")
-        tell_of(page, ProgressSentence("fitting gap@7", 1, 4, [("cubic_stiffness@3", 0.0), ("gap@7", 12.34)]))
+    with task_page(True, "Investigation of beam", console) as page:
+        address = said[1].partition(": ")[2]
+        page.step("reading")
+        page.step("fitting gap@7")
+        page.table(("explanation", "ln"), [("cubic_stiffness@3", "best"), ("gap@7", "12.3 behind")])
         head = asyncio.run(asyncio.wait_for(watch(), 60.0))
     assert [step["text"] for step in head["steps"]] == ["reading", "fitting gap@7"]
     assert head["rows"] == [["cubic_stiffness@3", "best"], ["gap@7", "12.3 behind"]]
     with task_page(False, "none", console) as page:
         page.step("nobody is told")
-    assert len(said) == 1
+    assert len(said) == 2

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 import time
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
-from nmt_bench.commands.shared_options import jobs_option, scheduler_option, task_page_option
+from nmt_bench.commands.shared_options import jobs_option, scheduler_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
 from nmt_core.options import argument, needed_option, option
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
-    from nmt_bench.page.task_feed import TaskFeed
 
 _MOST_RIGS = 10_000  # that one command makes
 RIGS = ("beam", "joint_resonator", "modal_beam")
@@ -59,7 +57,6 @@ class MakeOptions:
     )
     out: Path = needed_option("folder of the campaign", metavar="DIR")
     jobs: int | None = jobs_option()
-    page: bool = task_page_option()
     scheduler: str = scheduler_option()
 
 
@@ -72,7 +69,6 @@ class RunOptions:
         None, "folder of the results (default: results in the campaign's folder)", metavar="DIR"
     )
     jobs: int | None = jobs_option()
-    page: bool = task_page_option()
     scheduler: str = scheduler_option()
     discard_bags: bool = option(False, "remove the bags of a case once it is diagnosed; hashes stay")
     again: bool = option(False, "diagnose cases that have a result, too")
@@ -96,7 +92,6 @@ class ScoreOptions:
         None, "diagnosed development campaign that the generic classifier learns from", metavar="DIR"
     )
     jobs: int | None = jobs_option()
-    page: bool = task_page_option()
     docs: Path | None = option(None, "write the score sheet as a page of the documentation, too", metavar="FILE")
 
 
@@ -132,7 +127,6 @@ class LaboratoryOptions:
     )
     keep_bags: bool = option(False, "keep what was imported")
     jobs: int | None = jobs_option()
-    page: bool = task_page_option()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,14 +158,13 @@ class InvestigateRigsOptions:
     limit: float = option(1800.0, "processor time of an investigation or a diagnosis, s (default: 1800)", metavar="S")
     keep_bags: bool = option(False, "keep what was recorded")
     no_plan: bool = option(False, "investigate only")
-    page: bool = task_page_option()
 
 
 def _make(options: MakeOptions) -> int:
     from nmt_blind.cases.make import CampaignPlan, make_campaign
 
     kinds = tuple(word.strip() for word in options.kinds.split(",") if word.strip())
-    with _bar(options, "making cases") as bar:
+    with _Bar("making cases") as bar:
         made = make_campaign(
             options.out,
             CampaignPlan(
@@ -200,7 +193,7 @@ def _make(options: MakeOptions) -> int:
 def _run(options: RunOptions) -> int:
     from nmt_blind.campaign.run import diagnose_case, run_campaign
 
-    with _bar(options, "diagnosing") as bar:
+    with _Bar("diagnosing") as bar:
         done = run_campaign(
             options.out,
             options.results,
@@ -209,7 +202,7 @@ def _run(options: RunOptions) -> int:
             options.discard_bags,
             options.again,
             partial(diagnose_case, sizes=options.sizes),
-            progress=lambda number, total, case: bar.update(number, total, case),
+            progress=lambda number, total, _: bar.update(number, total),
         )
     each = f", {done.seconds:.1f} s each (median)" if done.new else ""
     bar.say(f"{done.done} of {done.cases} cases have a result, {done.new} of them new{each}; results in {done.results}")
@@ -227,12 +220,12 @@ def _score(options: ScoreOptions) -> int:
     def measured(truth: dict[str, Any]) -> dict[str, float]:
         from nmt_blind.campaign.explain import measured_strengths
 
-        with _bar(options, "measuring strengths") as bar:
+        with _Bar("measuring strengths") as bar:
             return measured_strengths(
                 options.out,
                 truth,
                 worker_count(options),
-                progress=lambda done, total, case: bar.update(done, total),
+                progress=lambda done, total, _: bar.update(done, total),
             )
 
     scores = score_campaign(options.out, options.results, options.again, options.train, measured)
@@ -295,7 +288,7 @@ def _laboratory(options: LaboratoryOptions) -> int:
     if has_robots(options.folder):
         return _robots(options)
     only = _cases(options.only)
-    with _bar(options, "diagnosing") as bar:
+    with _Bar("diagnosing") as bar:
         lines = run_laboratory(
             options.folder,
             options.out,
@@ -319,7 +312,7 @@ def _recordings(options: LaboratoryOptions) -> int:
     from nmt_blind.campaign.recordings import run_recordings, summary_words, write_recordings
 
     only = _cases(options.only)
-    with _bar(options, "diagnosing") as bar:
+    with _Bar("diagnosing") as bar:
         program = (sys.executable, "-m", "nmt_bench")
         found = run_recordings(options.folder, options.out, program, only, options.limit, _progress(bar))
     files = write_recordings(found, options.folder, options.out)
@@ -332,7 +325,7 @@ def _recordings(options: LaboratoryOptions) -> int:
 def _robots(options: LaboratoryOptions) -> int:
     from nmt_blind.campaign.robot_run import run_robots, summary_lines, write_robot_tables
 
-    with _bar(options, "diagnosing") as bar:
+    with _Bar("diagnosing") as bar:
         lines = run_robots(
             options.folder,
             options.out,
@@ -377,7 +370,7 @@ def _investigate(options: InvestigateRigsOptions) -> int:
     if not 0.5 < options.until < 1.0:
         raise BenchError(f"--until is a probability between 0.5 and 1, got {options.until:g}.")
     only = _cases(options.only)
-    with _bar(options, "investigating") as bar:
+    with _Bar("investigating") as bar:
         lines = run_investigations(
             options.folder,
             options.out,
@@ -404,34 +397,16 @@ def _console() -> Any:
     return make_console()
 
 
-class _WithPage(Protocol):
-    """Options of a part that has ``--page``."""
-
-    @property
-    def page(self) -> bool:
-        """Whether there is a page."""
-
-
-@contextlib.contextmanager
-def _bar(options: _WithPage, title: str) -> Iterator[_Bar]:
-    """The progress of a part, in the terminal and on its page."""
-    from nmt_bench.page.task_feed import task_page
-
-    with task_page(options.page, f"Blind check: {title}", _console()) as page, _Bar(title, page) as bar:
-        yield bar
-
-
 class _Bar:
     """Progress with time spent and left; a line now and then where the output is no terminal."""
 
     _QUIET = 30.0  # s between lines
 
-    def __init__(self, title: str, page: TaskFeed) -> None:
+    def __init__(self, title: str) -> None:
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
         from rich.progress import TimeRemainingColumn as Left
 
-        self._title, self._page = title, page
-        page.step(title)
+        self._title = title
         self._console = _console()
         self._live = bool(self._console.is_terminal)
         columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), Left()
@@ -446,9 +421,8 @@ class _Bar:
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
 
-    def update(self, done: int, total: int, newest: str = "") -> None:
-        """So many of so many are done, and which was the newest."""
-        self._page.step(f"{self._title}, the newest {newest}" if newest else self._title, done, total)
+    def update(self, done: int, total: int) -> None:
+        """So many of so many are done."""
         self._bar.update(self._task, completed=done, total=total)
         if not self._live and (time.monotonic() - self._said > self._QUIET or done == total):
             self._said = time.monotonic()
@@ -456,7 +430,6 @@ class _Bar:
 
     def say(self, sentence: str) -> None:
         """A line above the bar."""
-        self._page.step(sentence)
         self._console.print(sentence, soft_wrap=True)
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from nmt_bench.command_parser import EXIT_DONE, EXIT_FAILED
-from nmt_bench.commands.shared_options import jobs_option, scheduler_option, task_page_option
+from nmt_bench.commands.shared_options import jobs_option, scheduler_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
 from nmt_core.files.whole_file import write_whole
@@ -19,7 +19,6 @@ from nmt_study import STUDIES
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from nmt_bench.page.task_feed import TaskFeed
     from nmt_study.study import Finding
     from nmt_study.study_runner import CaseReport
     from nmt_study.study_table import SummaryRow
@@ -50,7 +49,6 @@ class StudyOptions:
     quick: bool = option(False, "few, short cases: shows that it works, no more")
     jobs: int | None = jobs_option()
     scheduler: str = scheduler_option()
-    page: bool = task_page_option()
     keep_bags: bool = option(False, "keep the recording of every case in bags/")
 
     @property
@@ -70,23 +68,20 @@ def run(options: StudyOptions) -> int:
     """
     jobs = worker_count(options)
     from nmt_bench.commands.console import make_console
-    from nmt_bench.page.task_feed import task_page
 
     console = make_console()
     began = time.monotonic()
-    with task_page(options.page, f"Study {options.name}", console) as page:
-        if options.name == "all":
-            complete = _run_all(options, jobs, console, page)
-        else:
-            complete, *_ = _run_study(options.name, options.results_folder, options, jobs, console, page)
-        page.tell(outcome=f"The study is done{'' if complete else ', but some of its cases have no result'}.")
+    if options.name == "all":
+        complete = _run_all(options, jobs, console)
+    else:
+        complete, *_ = _run_study(options.name, options.results_folder, options, jobs, console)
     from nmt_report.quantity_format import duration
 
     console.print(f"{duration(time.monotonic() - began)}; results in {options.results_folder}")
     return EXIT_DONE if complete else EXIT_FAILED
 
 
-def _run_all(options: StudyOptions, jobs: int, console: Any, page: TaskFeed) -> bool:
+def _run_all(options: StudyOptions, jobs: int, console: Any) -> bool:
     from nmt_study.case_store import CaseStore
     from nmt_study.study_report import index_page
     from nmt_study.study_table import study_csv
@@ -96,7 +91,7 @@ def _run_all(options: StudyOptions, jobs: int, console: Any, page: TaskFeed) -> 
     complete, entries, rows = True, [], []
     for name in STUDIES:
         whole, title, summary, findings, study_rows = _run_study(
-            name, options.results_folder / name, options, jobs, console, page
+            name, options.results_folder / name, options, jobs, console
         )
         complete = complete and whole
         entries.append((name, title, summary, findings))
@@ -107,7 +102,7 @@ def _run_all(options: StudyOptions, jobs: int, console: Any, page: TaskFeed) -> 
 
 
 def _run_study(
-    name: str, folder: Path, options: StudyOptions, jobs: int, console: Any, page: TaskFeed
+    name: str, folder: Path, options: StudyOptions, jobs: int, console: Any
 ) -> tuple[bool, str, list[SummaryRow], Sequence[Finding], list[Any]]:
     from nmt_report.svg import figure_style
     from nmt_study.case_store import CaseStore
@@ -122,8 +117,7 @@ def _run_study(
     done = len(cases) - len(todo)
     text = f"{module.TITLE}: {len(cases)} cases"
     console.print(text + (f", {done} of them done before" if done else ""), style="bold")
-    progress = _Progress(console, len(todo), page)
-    page.step(f"{module.TITLE}: cases", 0, len(todo))
+    progress = _Progress(console, len(todo))
     bags = folder / "bags" if options.keep_bags else None
     reports = run_cases(name, cases, store, jobs, bags, progress.case_done, options.scheduler)
     failures = [report for report in reports if report.result is None]
@@ -179,9 +173,8 @@ def print_summary(console: Any, summary: Sequence[SummaryRow], findings: Sequenc
 class _Progress:
     """One line for each case as it ends."""
 
-    def __init__(self, console: Any, total: int, page: TaskFeed) -> None:
-        self._console, self._page = console, page
-        self._rows: list[tuple[str, str]] = []
+    def __init__(self, console: Any, total: int) -> None:
+        self._console = console
         self._total = total
         self._count = 0
         self._began = time.monotonic()
@@ -198,8 +191,5 @@ class _Progress:
         else:
             run = report.result["run"]
             what = f"{run['message']} {duration(run['bench_time_s'])} of bench time"
-        self._rows.insert(0, (report.case.title, what))
-        self._page.tell(done=self._count, total=self._total)
-        self._page.table(("case", "what became of it"), self._rows)
         left = f"; about {duration(rest)} left" if self._count < self._total else ""
         self._console.print(f"  {self._count}/{self._total} {report.case.title}: {what}{left}")

@@ -57,8 +57,7 @@ from nmt_diagnose.say.result_rows import (
 from nmt_diagnose.say.sentences import UNITS_FIRST, likeness, relieving, sentences
 from nmt_diagnose.search.findings import find
 from nmt_diagnose.search.memory import Memory
-from nmt_diagnose.search.progress import Progress
-from nmt_diagnose.search.search import Search
+from nmt_diagnose.search.search import Progress, Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig, load_rig
 

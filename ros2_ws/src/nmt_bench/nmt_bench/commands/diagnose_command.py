@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE
 from nmt_bench.commands.output_folder import OutputFolder, check_output
-from nmt_bench.commands.shared_options import dated_folder_option, jobs_option, replace_option, task_page_option
+from nmt_bench.commands.shared_options import dated_folder_option, jobs_option, replace_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
 from nmt_core.options import needed_option, option
@@ -19,7 +19,6 @@ from nmt_core.options import needed_option, option
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from nmt_bench.page.task_feed import TaskFeed
     from nmt_diagnose.ledger.diagnosis import Diagnosis
 
 
@@ -93,7 +92,6 @@ class DiagnoseOptions:
     )
     jobs: int | None = jobs_option()
     quiet: bool = option(False, "no progress display")
-    page: bool = task_page_option()
 
 
 def run(options: DiagnoseOptions) -> int:
@@ -124,7 +122,6 @@ def run(options: DiagnoseOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.group_diagnosis import diagnose_group
     from nmt_bench.commands.requested_test import command_text
-    from nmt_bench.page.task_feed import task_page
     from nmt_diagnose.diagnose import diagnose_bags
     from nmt_diagnose.diagnosis_settings import DiagnosisSettings
     from nmt_diagnose.effects.library import effect_named
@@ -142,10 +139,7 @@ def run(options: DiagnoseOptions) -> int:
     calibration = None if options.calibration is None else read_calibration(options.calibration)
     console = make_console()
     started = time.monotonic()
-    with (
-        task_page(options.page, f"Diagnosis of {rig.name}", console) as page,
-        DiagnosisProgress(console, options.quiet, page) as progress,
-    ):
+    with DiagnosisProgress(console, options.quiet) as progress:
         held_out = tuple(dict.fromkeys(options.hold_out))
         settings = DiagnosisSettings(
             withheld=withheld,
@@ -163,7 +157,6 @@ def run(options: DiagnoseOptions) -> int:
         progress.update("writing the report")
         with OutputFolder(options.out, options.force) as folder:
             remark = write_diagnosis(outcome, folder, options.model, options.set, options.floor)
-        page.tell(outcome=f"Diagnosed. {outcome.diagnosis.sentences[0] if outcome.diagnosis.sentences else ''}")
     show(outcome.diagnosis, console)
     show_why(outcome.diagnosis.to_mapping(), options.why, console)
     if remark:
@@ -232,21 +225,18 @@ class DiagnosisProgress:
     Args:
         console: where to show it.
         quiet: show nothing.
-        page: shows it too; None: there is none.
     """
 
-    def __init__(self, console: Console, quiet: bool = False, page: TaskFeed | None = None) -> None:
+    def __init__(self, console: Console, quiet: bool = False) -> None:
         from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-        self._console, self._quiet, self._page = console, quiet, page
+        self._console, self._quiet = console, quiet
         self._live = console.is_terminal and not quiet
         self._progress = Progress(
             SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console, transient=True,
             disable=not self._live,
         )  # fmt: skip
         self._task = self._progress.add_task("starting", total=None)
-        self._total = self._first = 0
-        self._began = time.monotonic()
 
     def __enter__(self) -> DiagnosisProgress:
         self._progress.start()
@@ -259,40 +249,10 @@ class DiagnosisProgress:
         """Show what is being done now."""
         from rich.markup import escape
 
-        if self._page is not None:
-            tell_of(self._page, sentence)
-        counted = sentence + self._count(sentence)
         if self._live:
-            self._progress.update(self._task, description=escape(counted))
+            self._progress.update(self._task, description=escape(sentence))
         elif not self._quiet:
-            self._console.print(counted, soft_wrap=True)
-
-    def _count(self, sentence: str) -> str:
-        """How much of the present work is done and the time left; empty where it is not counted."""
-        from nmt_report.quantity_format import duration
-
-        done, total = getattr(sentence, "done", 0), getattr(sentence, "total", 0)
-        now = time.monotonic()
-        if total != self._total or done < self._first:
-            self._total, self._first, self._began = total, done, now
-        if total == 0:
-            return ""
-        left = ""
-        if done > self._first and now - self._began > 0.5:
-            left = f", about {duration((now - self._began) / (done - self._first) * (total - done))} left"
-        return f" ({min(done + 1, total)} of {total}{left})"
-
-
-def tell_of(page: TaskFeed, sentence: str) -> None:
-    """Tell the page a sentence, and what it carries."""
-    from nmt_diagnose.search.progress import ProgressSentence
-    from nmt_report.quantity_format import plain
-
-    told = sentence if isinstance(sentence, ProgressSentence) else ProgressSentence(sentence)
-    page.step(sentence, told.done, told.total)
-    if told.ranking:
-        behind = [(label, "best" if value == 0.0 else f"{plain(value, 1)} behind") for label, value in told.ranking]
-        page.table(("explanation", "ln of its evidence"), behind)
+            self._console.print(sentence, soft_wrap=True)
 
 
 def show(diagnosis: Diagnosis, console: Console) -> None:

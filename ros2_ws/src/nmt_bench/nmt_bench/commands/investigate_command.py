@@ -255,7 +255,7 @@ class _Bench:
         self._plan = settings.levels
         agree = self._agree if self._options.ask else (lambda _: YES)
         title = f"Investigation of {Path(record.real).stem}"
-        with task_page(self._options.page, title, self._console, asks=True) as self._feed:
+        with task_page(self._options.page, title, self._console) as self._feed:
             self._answers = TaskAnswers(self._feed.answers)
             found = Investigation(
                 record, settings, self._options.out, self._measure, self._think, agree, self._command, self._say,

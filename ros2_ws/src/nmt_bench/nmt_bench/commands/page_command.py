@@ -23,7 +23,6 @@ class PageOptions:
     domain: int | None = option(None, "ROS domain of the nodes (default: that of ROS_DOMAIN_ID)", metavar="N")
     namespace: str = option("", "namespace of the nodes (default: none)", metavar="NAME")
     task: bool = option(False, "", hidden=True)
-    asks: bool = option(False, "", hidden=True)
     no_reference: bool = option(False, "do not compute the model's backbone")
 
 
@@ -41,7 +40,7 @@ def run(options: PageOptions) -> int:
     if not 0 <= options.port <= 65_535:
         raise BenchError(f"--port must be from 0 to 65535, got {options.port}.")
     if options.task:
-        asyncio.run(serve_task(tell_addresses, options.port, options.asks))
+        asyncio.run(serve_task(tell_addresses, options.port))
         return 0
     reference = not options.no_reference
     port, bag, domain = options.port, options.bag, options.domain
@@ -51,13 +50,9 @@ def run(options: PageOptions) -> int:
 
 def tell_addresses(server: PageServer) -> None:
     """Print the addresses of a page."""
-    from nmt_bench.page.task_view import TaskView
-
     if server.player is not None:
         sys.stdout.write(f"Page (works once): {server.steer_address}\n")
     else:
-        view = server.view
-        if not isinstance(view, TaskView) or view.asks:  # other work is not steered
-            sys.stdout.write(f"Page, to watch and steer (works once): {server.steer_address}\n")
+        sys.stdout.write(f"Page, to watch and steer (works once): {server.steer_address}\n")
         sys.stdout.write(f"Page, to watch: {server.watch_address}\n")
     sys.stdout.flush()

@@ -129,11 +129,6 @@ def page_option() -> bool:
     return option(False, "live page in the browser, to watch, steer and stop; prints its address")
 
 
-def task_page_option() -> bool:
-    """``--page`` of work that can only be watched."""
-    return option(False, "progress in the browser, to watch only; prints the page's address")
-
-
 def jobs_option() -> int | None:
     """``--jobs``."""
     return option(None, "worker processes (default: one for each core)", metavar="N")

@@ -32,13 +32,12 @@ class ServedPage:
 
 
 @contextlib.contextmanager
-def page_process(log: Path, arguments: tuple[str, ...] = (), lines: int = 2) -> Iterator[ServedPage]:
+def page_process(log: Path, arguments: tuple[str, ...] = ()) -> Iterator[ServedPage]:
     """Serve the page while a test runs; what becomes of the page does not concern the test.
 
     Args:
         log: file that gets what the page complains about.
         arguments: of ``./nmt page``.
-        lines: that tell its addresses.
 
     Yields:
         The page.
@@ -60,7 +59,7 @@ def page_process(log: Path, arguments: tuple[str, ...] = (), lines: int = 2) -> 
     try:
         assert process.stdin is not None
         assert process.stdout is not None
-        addresses = tuple(_addresses(process, log, lines))
+        addresses = tuple(_addresses(process, log))
         yield ServedPage(process.pid, addresses, process.stdin.fileno(), process.stdout.fileno())
     finally:
         process.terminate()
@@ -75,11 +74,11 @@ def page_process(log: Path, arguments: tuple[str, ...] = (), lines: int = 2) -> 
             pipe.close()
 
 
-def _addresses(process: subprocess.Popen[bytes], log: Path, lines: int) -> list[str]:
+def _addresses(process: subprocess.Popen[bytes], log: Path) -> list[str]:
     assert process.stdout is not None
     end = time.monotonic() + _START_TIMEOUT
     told = b""
-    while told.count(b"\n") < lines:
+    while told.count(b"\n") < 2:  # to steer and to watch
         ready, _, _ = select.select([process.stdout], [], [], max(0.0, end - time.monotonic()))
         part = os.read(process.stdout.fileno(), 4096) if ready else b""
         if not part:

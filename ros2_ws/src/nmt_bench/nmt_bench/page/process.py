@@ -145,19 +145,20 @@ async def serve(
         close()
 
 
-async def serve_task(tell: Callable[[PageServer], None], port: int = 0, asks: bool = False) -> None:
-    """Serve the progress of a command, told line by line on standard input, until SIGINT or SIGTERM.
+async def serve_task(tell: Callable[[PageServer], None], port: int = 0) -> None:
+    """Serve the progress of an investigation, told line by line on standard input, until SIGINT or SIGTERM.
+
+    What is answered goes line by line to standard output.
 
     Args:
         tell: told of the server when it listens.
         port: 0 = a free one.
-        asks: the command asks; what is answered goes line by line to standard output.
 
     Raises:
         BenchError: the port is taken.
     """
     ended = _told_to_end()
-    view = TaskView(answered=_say if asks else None)
+    view = TaskView(_say)
     with contextlib.suppress(OSError):
         os.nice(_NICE)
     server = PageServer(view, NoBench(), port)

@@ -1,4 +1,4 @@
-"""What a command that computes tells its page: news as JSON objects, one a line, over a pipe that nobody waits for."""
+"""What an investigation tells its page: news as JSON objects, one a line, over a pipe that nobody waits for."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ class TaskFeed:
             with contextlib.suppress(OSError):
                 os.write(self._pipe, line)
 
-    def step(self, sentence: str, done: int = 0, total: int = 0) -> None:
-        """Tell what is being done, and how many pieces of how many are done where they are counted."""
-        self.tell(step=sentence, **({"done": done, "total": total} if total else {}))
+    def step(self, sentence: str) -> None:
+        """Tell what is being done."""
+        self.tell(step=sentence)
 
     def table(self, heading: tuple[str, str], rows: Sequence[tuple[str, str]]) -> None:
         """Tell the results so far, the first ones only."""
@@ -48,14 +48,13 @@ class TaskFeed:
 
 
 @contextlib.contextmanager
-def task_page(wanted: bool, title: str, console: Any, asks: bool = False) -> Iterator[TaskFeed]:
+def task_page(wanted: bool, title: str, console: Any) -> Iterator[TaskFeed]:
     """The page of a command while it works, its address printed; without a page a feed that goes nowhere.
 
     Args:
         wanted: whether ``--page`` was given.
         title: of the page.
         console: gets the address.
-        asks: the command asks, and the page may answer.
 
     Raises:
         BenchError: the page does not come up.
@@ -65,12 +64,10 @@ def task_page(wanted: bool, title: str, console: Any, asks: bool = False) -> Ite
         return
     with (
         tempfile.TemporaryDirectory(prefix="nmt-page-") as folder,
-        page_process(
-            Path(folder) / "page.log", ("--task", *(("--asks",) if asks else ())), lines=2 if asks else 1
-        ) as page,
+        page_process(Path(folder) / "page.log", ("--task",)) as page,
     ):
         for line in page.lines:
             console.print(line, soft_wrap=True)
-        feed = TaskFeed(page.feed, page.answers if asks else -1)
+        feed = TaskFeed(page.feed, page.answers)
         feed.tell(title=title)
         yield feed

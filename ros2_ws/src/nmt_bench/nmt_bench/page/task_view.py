@@ -1,7 +1,7 @@
-"""What the page shows of work that computes and measures nothing: a diagnosis, a study, a campaign; free of ROS.
+"""What the page shows of an investigation, which asks before it tests; free of ROS.
 
-News come as JSON objects, one a line; see :mod:`nmt_bench.page.task_feed`. What is not as expected is passed over. A
-command that asks gets the answer of the page as a line, too.
+News come as JSON objects, one a line; see :mod:`nmt_bench.page.task_feed`. What is not as expected is passed over. The
+command gets the answer of the page as a line, too.
 """
 
 from __future__ import annotations
@@ -38,15 +38,13 @@ class TaskView:
 
     Args:
         clock: s, monotonic.
-        answered: gets what a person answers; None = the command asks nothing.
+        answered: gets what a person answers.
     """
 
     FRAME_PERIOD = 0.5
     PAGE = "task.html"
 
-    def __init__(
-        self, clock: Callable[[], float] = time.monotonic, answered: Callable[[str], None] | None = None
-    ) -> None:
+    def __init__(self, answered: Callable[[str], None], clock: Callable[[], float] = time.monotonic) -> None:
         self._clock, self._answered = clock, answered
         self._lock = threading.RLock()
         self.version = 0
@@ -56,9 +54,6 @@ class TaskView:
         self._ended = math.nan
         self._outcome = ""
         self._steps: list[_Step] = []
-        self._done = self._total = 0
-        self._counting_since = self._began
-        self._counted_from = 0
         self._heading: tuple[str, str] = ("", "")
         self._rows: list[tuple[str, str]] = []
         self._question = ""
@@ -74,8 +69,7 @@ class TaskView:
             self.take(news)
 
     def take(self, news: dict[str, Any]) -> None:
-        """Take news: ``title``, ``step``, ``done`` and ``total``, ``heading`` and ``rows``, ``timeline``, ``question``,
-        ``outcome``.
+        """Take news: ``title``, ``step``, ``heading`` and ``rows``, ``timeline``, ``question``, ``outcome``.
 
         A question that is empty is one that was answered elsewhere. The timeline has points (time, probability) by
         name.
@@ -89,7 +83,6 @@ class TaskView:
                     self._steps[-1].ended = now
                 self._steps.append(_Step(step, now))
                 del self._steps[:-_MOST_STEPS]
-            self._count(news, now)
             rows, heading = news.get("rows"), news.get("heading")
             if isinstance(rows, list):
                 pairs = [row for row in rows if isinstance(row, list) and len(row) == 2]
@@ -112,17 +105,12 @@ class TaskView:
                 self._end("The command has ended; the terminal says what came of it.", self._clock())
                 self.version += 1
 
-    @property
-    def asks(self) -> bool:
-        """Whether the command takes answers."""
-        return self._answered is not None
-
     def answer(self, word: Any) -> ServiceAnswer:
         """Take what a person answers: ``yes`` or ``no`` to what is asked now, ``stop`` at any time."""
         if word not in ANSWERS:
             return ServiceAnswer(False, f"An answer is one of {', '.join(ANSWERS)}")
         with self._lock:
-            if self._answered is None or math.isfinite(self._ended):
+            if math.isfinite(self._ended):
                 return ServiceAnswer(False, "Nothing is asked here")
             if not self._question and word != "stop":
                 return ServiceAnswer(False, "Nothing is asked now; it was answered, or a test is under way")
@@ -135,22 +123,6 @@ class TaskView:
         self._outcome, self._ended, self._question = outcome, now, ""
         if self._steps and math.isnan(self._steps[-1].ended):
             self._steps[-1].ended = now
-
-    def _count(self, news: dict[str, Any], now: float) -> None:
-        done, total = news.get("done"), news.get("total")
-        if not isinstance(done, int) or not isinstance(total, int):
-            return
-        if total != self._total or done < self._done:
-            self._counting_since, self._counted_from = now, done
-        self._done, self._total = max(0, done), max(0, total)
-
-    @property
-    def _left(self) -> float:
-        """s that the counted pieces may still take; NaN where nothing can be told."""
-        new = self._done - self._counted_from
-        if new <= 0 or not self._total or math.isfinite(self._ended):
-            return math.nan
-        return (self._clock() - self._counting_since) / new * (self._total - self._done)
 
     # -- frames --------------------------------------------------------------------------------------------------
 
@@ -173,7 +145,6 @@ class TaskView:
                     "heading": list(self._heading),
                     "rows": [list(row) for row in self._rows],
                     "question": self._question,
-                    "asks": self.asks,
                     "timeline": self._timeline,
                     "outcome": self._outcome,
                 },
@@ -191,9 +162,6 @@ class TaskView:
                     "present": present.text if present else "",
                     "since": duration(now - present.began) if present else "—",
                     "elapsed": duration(now - self._began),
-                    "left": duration(self._left) if math.isfinite(self._left) else "—",
-                    "done": self._done,
-                    "total": self._total,
                 },
                 {},
             )

@@ -27,8 +27,7 @@ from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.search.law_starts import law_of, with_laws
 from nmt_diagnose.search.memory import Memory
-from nmt_diagnose.search.progress import Progress
-from nmt_diagnose.search.search import Search
+from nmt_diagnose.search.search import Progress, Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

@@ -42,7 +42,8 @@ _CONTINUATIONS = 3
 # Little, and more than rounding.
 _INITIAL_STRENGTH = 0.01
 
-ProgressSentence = Callable[[str], None]
+Progress = Callable[[str], None]
+"""Is called with what is being done, a sentence."""
 WEAKER_SHARE = 0.3
 """Of the strength of a start from which the model has no solution."""
 
@@ -67,7 +68,7 @@ class Search:
         rig: Rig,
         parameters: Sequence[CalibrationParameter],
         candidates: Sequence[Candidate],
-        tell: ProgressSentence = lambda _: None,
+        tell: Progress = lambda _: None,
     ) -> None:
         self.data, self.rig, self.tell = data, rig, tell
         self.parameters, self.candidates = tuple(parameters), tuple(candidates)

@@ -1,4 +1,4 @@
-// Shows the progress of a command that computes. Frames: see nmt_bench/page/frames.py.
+// Shows the progress of an investigation. Frames: see nmt_bench/page/frames.py.
 "use strict";
 (function () {
   const get = (id) => document.getElementById(id);
@@ -42,7 +42,7 @@
 
   function ask(task) {
     const steers = document.body.dataset.role === "steer";
-    get("asked").hidden = !task.asks || Boolean(task.outcome) || !(task.question || steers);
+    get("asked").hidden = Boolean(task.outcome) || !(task.question || steers);
     text("question", task.question || "Nothing is asked now.");
     document.querySelectorAll("#answers button").forEach((button) => {
       button.hidden = !steers;
@@ -80,10 +80,8 @@
   }
 
   function showNumbers(live) {
-    text("elapsed", live.elapsed); text("left", live.left); text("since", live.since);
+    text("elapsed", live.elapsed); text("since", live.since);
     text("present", outcome || live.present);
-    get("bar").style.width = (live.total ? 100 * live.done / live.total : 0) + "%";
-    text("count", live.total ? live.done + " of " + live.total : "—");
   }
 
   setInterval(() => {

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from diagnose.test_imposed_motion import DRIVE, bag_of, diagnosed, record, rig_of, sines
+from tiers import with_quick
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.law.driven_law import read_driven_law
@@ -90,8 +91,15 @@ def reading_of(folder: Path, more: str, channels: tuple[int, ...] = (0, 1, 2)) -
     return reading
 
 
-@pytest.mark.parametrize("place", ["point: 3", "point: 2, other_point: 1"])
-@pytest.mark.parametrize("words", LAWS)
+@pytest.mark.parametrize(
+    ("words", "place"),
+    with_quick(
+        [(words, place) for words in LAWS for place in ("point: 3", "point: 2, other_point: 1")],
+        ("clearance", "point: 2, other_point: 1"),
+        ("damping that grows with speed", "point: 3"),
+        ("friction of a slider behind a spring", "point: 3"),
+    ),
+)
 def test_a_law_is_read_at_its_place_away_from_the_force(tmp_path: Path, words: str, place: str) -> None:
     reading = reading_of(tmp_path, element(words, place))
     assert reading.is_stated

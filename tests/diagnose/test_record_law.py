@@ -13,6 +13,7 @@ from diagnose.one_of_each_kind import KINDS, rig_of_kinds
 from diagnose.test_imposed_motion import DRIVE, RATE, bag_of, jenkins, record, rig_of, sines
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
+from tiers import with_quick
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import significant
@@ -127,7 +128,7 @@ LATE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("words", LATE)
+@pytest.mark.parametrize("words", with_quick(LATE, "dry friction", "clearance"))
 def test_a_law_is_read_beside_a_force_that_comes_late(tmp_path: Path, words: str) -> None:
     missing, strengths = LAWS[words]
     known = 2e-3 * A + 0.05 * V + 12.0 * X
@@ -155,7 +156,7 @@ def test_a_force_that_only_comes_late_is_no_law(tmp_path: Path) -> None:
     assert reading.late == ("f1", pytest.approx(0.02, abs=1e-3))
 
 
-@pytest.mark.parametrize(("stiffness", "relaxation"), [(30.0, 0.02), (60.0, 0.15)])
+@pytest.mark.parametrize(("stiffness", "relaxation"), with_quick([(30.0, 0.02), (60.0, 0.15)], (60.0, 0.15)))
 def test_hysteresis_that_no_law_has_is_not_told_as_a_delay(tmp_path: Path, stiffness: float, relaxation: float) -> None:
     """A spring behind a damper (Maxwell): its force runs ahead of the displacement at every frequency."""
     left = np.exp(-1.0 / RATE / relaxation)
@@ -225,7 +226,7 @@ FOLLOWED = {
 }
 
 
-@pytest.mark.parametrize("case", FOLLOWED)
+@pytest.mark.parametrize("case", with_quick(FOLLOWED, "friction", "damping", "friction of a ring"))
 def test_a_strength_that_follows_a_channel_is_told_with_it(tmp_path: Path, case: str) -> None:
     """f = (a + b s(t)) g(x, v), with the channel s measured."""
     channel, unit, values, shape, (constant, slope) = FOLLOWED[case]
@@ -282,7 +283,9 @@ CLOSED_FORMS: dict[str, Callable[[Any], FloatArray]] = {
 }
 
 
-@pytest.mark.parametrize("words", ["hardening spring", "dry friction", "clearance", *BESIDE])
+@pytest.mark.parametrize(
+    "words", with_quick(["hardening spring", "dry friction", "clearance", *BESIDE], "clearance", list(BESIDE)[1])
+)
 def test_a_law_comes_back_from_the_file_that_has_it(tmp_path: Path, words: str) -> None:
     """Law, rig file, a record by closed forms of the elements in that file, and the law of that record."""
     (first_folder := tmp_path / "first").mkdir()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from diagnose.court.small_rigs import backbone, chain_rig, chain_tables, diagnosed, one_mode_rig
+from tiers import with_quick
 
 from nmt_diagnose.ledger.diagnosis import Verdict
 
@@ -12,7 +13,7 @@ HEALTHY = (Verdict.NONE, Verdict.CALIBRATION)
 
 
 @pytest.mark.court(not_said="effect")
-@pytest.mark.parametrize("stated", [0.3, 1.0, 3.0])
+@pytest.mark.parametrize("stated", with_quick([0.3, 1.0, 3.0], 0.3))
 def test_a_healthy_table_has_no_effect(stated: float) -> None:
     """Uncertainties that are stated too small or too large, and gains a little beyond an ordinary chain."""
     gains = 1.0 + 0.0125 * np.random.default_rng(int(10 * stated)).standard_normal(3)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnose.court.small_rigs import backbone, chain_rig, chain_tables, diagnosed, one_mode_rig
+from tiers import with_quick
 
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -35,7 +36,7 @@ def altered(kind: str) -> Diagnosis:
 
 
 @pytest.mark.court(not_said="no gap")
-@pytest.mark.parametrize("kind", ["size", "phase"])
+@pytest.mark.parametrize("kind", with_quick(["size", "phase"], "phase"))
 def test_no_gap_is_said_beside_no_figure_that_contradicts_it(kind: str) -> None:
     """The course of one channel is smooth and wrong by tens of per cent: no scatter, and no noise of any scale."""
     found = altered(kind)
@@ -55,7 +56,7 @@ def test_no_gap_is_not_said_of_limit_cycles() -> None:
 
 
 @pytest.mark.court(said="no gap")
-@pytest.mark.parametrize("seed", [9, 10])
+@pytest.mark.parametrize("seed", with_quick([9, 10], 9))
 def test_no_gap_is_said_of_a_healthy_table(seed: int) -> None:
     found = diagnosed(chain_rig(), chain_tables(seed))
     assert found.verdict is Verdict.NONE

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 MASS, LENGTH, INERTIA = 1.2, 0.3, 0.02
 GRAVITY = 9.81
@@ -52,6 +57,15 @@ def log_columns(
         noise: of the position, rad.
         more: further torque of q, v.
     """
+    columns = _columns(armature, damping, coulomb, held, lag_s, rate_hz, noise, more)
+    return {name: values.copy() for name, values in columns.items()}
+
+
+@cache
+def _columns(
+    armature: float, damping: float, coulomb: float, held: int, lag_s: float, rate_hz: float, noise: float, more: Any
+) -> dict[str, Any]:
+    """Of :func:`log_columns`, simulated once."""
     fine = 4
     time = np.arange(int(24.0 * rate_hz * fine)) / (rate_hz * fine)
     phase = 2.0 * np.pi * (0.2 * time + 0.5 * 0.05 * time**2)
@@ -91,3 +105,17 @@ def _simulated(
         speed = math.copysign(max(abs(free) - limit, 0.0), free)
         angle += step * speed
     return q, v
+
+
+_FOLDERS: list[TemporaryDirectory[str]] = []
+
+
+@cache
+def diagnosed_pendulum(**log: float) -> RobotDiagnosis:
+    """The diagnosis of a log with these parameters by the pendulum's file, made once a process."""
+    from nmt_robots.verdict.robot_diagnosis import diagnose_robot_by_logs
+
+    _FOLDERS.append(TemporaryDirectory())
+    folder = Path(_FOLDERS[-1].name)
+    np.savez(folder / "log.npz", **log_columns(**log))  # type: ignore[arg-type]
+    return diagnose_robot_by_logs(robot_file(folder), [folder / "log.npz"])

@@ -16,7 +16,7 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not te
 
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.verdict import robot_diagnosis
-from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot, read_log
 
 SIDECAR = "robot_log: 1\ndata: log.npz\njoints: [elbow]\ntime: {column: time}\nposition: {column: pos}\n"
 LAW = "command: {position: des_pos}\ngains: {kp: 60.0, kd: 1.5}\n"
@@ -69,7 +69,8 @@ def test_a_joint_has_to_move_in_a_share_of_the_rows(
     monkeypatch.setattr(motion, "THRESHOLDS", replace(motion.THRESHOLDS, moving_rows=share))
     np.savez(tmp_path / "log.npz", **log_columns())
     if judged:
-        assert diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz").joints[0].mechanics is not None
+        robot = RobotModel(robot_file(tmp_path))
+        assert motion.motion_of(robot, read_log(tmp_path / "log.npz", robot.path)).moves.all()
     else:
         with pytest.raises(BenchError, match="no joint moves"):
             diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")

@@ -10,21 +10,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from robots.simulated_joint import log_columns, robot_file
+from robots.simulated_joint import diagnosed_pendulum
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
 from nmt_robots.report.trajectory_files import joint_trajectory, trajectory_csv
 from nmt_robots.verdict.joint_verdict import Term, unjudged
 from nmt_robots.verdict.next_motion import STEP_S, NextMotion, next_motion
-from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 
-@pytest.fixture(scope="module")
-def diagnosis(tmp_path_factory: pytest.TempPathFactory) -> RobotDiagnosis:
-    folder = tmp_path_factory.mktemp("next")
-    np.savez(folder / "log.npz", **log_columns())
-    return diagnose_robot(robot_file(folder), folder / "log.npz")
+@pytest.fixture
+def diagnosis() -> RobotDiagnosis:
+    return diagnosed_pendulum()
 
 
 def following(diagnosis: RobotDiagnosis, **changes: object) -> NextMotion:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robots.simulated_joint import INERTIA, LENGTH, MASS, log_columns, robot_file
+from robots.simulated_joint import INERTIA, LENGTH, MASS, diagnosed_pendulum, log_columns, robot_file
 from robots.test_transmission import ARMATURE, COULOMB, DAMPING, log_behind
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
@@ -21,7 +21,7 @@ from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
 from nmt_robots.verdict.replay import ChangedJoint, Simulated, driven_by
-from nmt_robots.verdict.robot_diagnosis import diagnose_robot_by_logs, read_log
+from nmt_robots.verdict.robot_diagnosis import read_log
 
 LATE = Reading(torque_lag_s=0.001)
 """A drive that holds its torque over rows of 2 ms."""
@@ -136,8 +136,7 @@ def test_a_motion_that_runs_away_is_no_number(tmp_path: Path) -> None:
 
 
 def test_a_diagnosis_replays_its_log_and_has_it_on_the_page(tmp_path: Path) -> None:
-    np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.9))
-    diagnosis = diagnose_robot_by_logs(robot_file(tmp_path), [tmp_path / "log.npz"])
+    diagnosis = diagnosed_pendulum(coulomb=0.9)
     assert diagnosis.replay is not None
     assert diagnosis.replay.changed == {"elbow": "Coulomb friction"}
     (joint,) = diagnosis.replay.joints

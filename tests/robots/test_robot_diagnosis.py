@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robots.simulated_joint import log_columns, robot_file
+from robots.simulated_joint import diagnosed_pendulum, log_columns, robot_file
 
 from nmt_core.errors import BenchError
 
@@ -30,8 +30,8 @@ def term(diagnosis: RobotDiagnosis, key: str) -> Any:
     return next(term for term in diagnosis.joints[0].terms if term.key == key)
 
 
-def test_a_healthy_log_keeps_silent(tmp_path: Path) -> None:
-    diagnosis = diagnosed(tmp_path, log_columns())
+def test_a_healthy_log_keeps_silent() -> None:
+    diagnosis = diagnosed_pendulum()
     (joint,) = diagnosis.joints
     assert not joint.differs
     assert joint.cause == "as in the model"
@@ -44,12 +44,12 @@ def test_a_healthy_log_keeps_silent(tmp_path: Path) -> None:
     assert joint.left < 0.05 * joint.torque
 
 
-def test_planted_coulomb_friction_is_found(tmp_path: Path) -> None:
-    diagnosis = diagnosed(tmp_path, log_columns(coulomb=0.8))
+def test_planted_coulomb_friction_is_found() -> None:
+    diagnosis = diagnosed_pendulum(coulomb=0.9)
     found = term(diagnosis, "coulomb")
     assert found.differs
-    assert found.value == pytest.approx(0.8, rel=0.1)
-    assert abs(found.value - 0.8) < 3.0 * found.std
+    assert found.value == pytest.approx(0.9, rel=0.1)
+    assert abs(found.value - 0.9) < 3.0 * found.std
     assert diagnosis.joints[0].cause == "Coulomb friction"
     assert diagnosis.joints[0].closed > 0.5
 
@@ -69,7 +69,7 @@ def test_a_command_held_over_rows_is_named(tmp_path: Path) -> None:
 
 
 def test_files_are_written_and_the_robot_has_what_was_found(tmp_path: Path) -> None:
-    diagnosis = diagnosed(tmp_path, log_columns(coulomb=0.8))
+    diagnosis = diagnosed_pendulum(coulomb=0.9)
     write_robot_diagnosis(diagnosis, tmp_path)
     text = (tmp_path / "robot.xml").read_text()
     assert f'frictionloss="{term(diagnosis, "coulomb").value:.5g}"' in text

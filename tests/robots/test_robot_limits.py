@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from robots.simulated_joint import log_columns, robot_file
+from robots.simulated_joint import diagnosed_pendulum, log_columns, robot_file
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
@@ -26,12 +26,10 @@ from nmt_robots.verdict import joint_verdict
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
 
 
-@pytest.fixture(scope="module")
-def rubbing(tmp_path_factory: pytest.TempPathFactory) -> RobotDiagnosis:
+@pytest.fixture
+def rubbing() -> RobotDiagnosis:
     """A pendulum with 0.9 N·m of Coulomb friction where its model has 0.5."""
-    folder = tmp_path_factory.mktemp("rubbing")
-    np.savez(folder / "log.npz", **log_columns(coulomb=0.9))
-    return diagnose_robot(robot_file(folder), folder / "log.npz")
+    return diagnosed_pendulum(coulomb=0.9)
 
 
 def verdict_with(diagnosis: RobotDiagnosis, monkeypatch: pytest.MonkeyPatch, **limits: float) -> bool:

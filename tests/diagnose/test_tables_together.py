@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_tables import table_observations
+from nmt_diagnose.prediction.forward import Forward
 from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_rig.rig import Rig, validate_rig
@@ -79,3 +81,44 @@ def test_a_point_that_the_model_lacks_is_left_out_alone() -> None:
     assert any("point 7 is not among" in note for note in found.notes)
     none = table_observations("all", [table(7)], rig(), ObservationSettings())
     assert not none.tests
+
+
+@pytest.mark.parametrize(
+    ("reference", "exciter"),
+    [
+        ("force", {"kind": "force", "point": 1, "newton_per_volt": 5.0}),
+        ("voltage", {"kind": "force", "point": 1, "newton_per_volt": 5.0}),
+        ("base", {"kind": "shaking_table", "point": 1, "acceleration_per_volt_m_s2": 4.0}),
+        (
+            "base",
+            {"kind": "shaking_table", "point": 1, "acceleration_per_volt_m_s2": 4.0, "responses": "absolute"},
+        ),
+    ],
+)
+def test_responses_without_a_level_are_over_what_they_were_divided_by(
+    reference: str, exciter: dict[str, object]
+) -> None:
+    mode = {"frequency_hz": 50.0, "damping_ratio": 0.01, "modal_mass_kg": 1.6}
+    if reference == "base":
+        mode["participation"] = 1.0
+    words = {"name": "one", "structure": {"kind": "modal", "modes": [mode]}, "exciter": exciter}
+    model = validate_rig(RigDocument("test", words, {}))
+    omega, natural = 2.0 * np.pi * LINES, 2.0 * np.pi * 50.0
+    below = natural**2 - omega**2 + 0.02j * natural * omega
+    response = {"force": -(omega**2) / below / 1.6, "voltage": -5.0 * omega**2 / below / 1.6, "base": omega**2 / below}[
+        reference
+    ]
+    if exciter.get("responses") == "absolute":
+        response = 1.0 + response
+    columns = {"frequency_hz": LINES, "real": response.real, "imag": response.imag}
+    given = ObservableTable(
+        TableKind.FRF, columns, {}, Quantity.ACCELERATION, point=1, drive_point=1, name="p1", reference=reference
+    )
+    found = table_observations("one", [given], model, ObservationSettings())
+    predicted = Forward(found.tests, found.rows).predict(model).values
+    assert found.tests[0].referred_to == reference
+    assert Forward(found.tests, found.rows).difference(found.values, predicted) == pytest.approx(0.0, abs=2e-3)
+    if reference == "base":
+        still = validate_rig(RigDocument("test", {**words, "exciter": {"kind": "force", "point": 1}}, {}))
+        with pytest.raises(BenchError, match="no shaking table; write exciter"):
+            table_observations("one", [given], still, ObservationSettings())

@@ -58,7 +58,6 @@ class Measurement:
         timed_by_drive: a delay that all sensors share shows in it.
         over_force: its rows are responses over a force, or over what held its amplitude.
         referred_to: what its responses are divided by.
-        over_base: it was driven by the motion of its base.
         imposed_scales: displacement (m) and force (N) of an imposed motion, the largest; None where none was imposed.
         limits: magnitude at which the samples of each channel stay again and again; empty = not looked at.
         noise_degrees: degrees of freedom of the variance that the noise was estimated as; infinite where it is stated.
@@ -184,11 +183,6 @@ class Measurement:
     def driven_as(self) -> DrivenRecord | None:
         """The record whose samples of the responses are known where it was driven; None of other kinds."""
         return None
-
-    @property
-    def over_base(self) -> bool:
-        """Whether it was driven by the motion of its base."""
-        return False
 
     @property
     def modal_lines_hz(self) -> FloatArray | None:

@@ -89,11 +89,11 @@ class RandomPredictor(Predictor):
     def __init__(self, test: RandomResponses, rows: Rows, settings: PredictionSettings) -> None:
         if test.window not in ("hann", "none"):
             raise BenchError(f"test {test.name}: window {test.window!r} is unknown; use hann or none.")
-        if test.reference not in ("voltage", "force"):
-            raise BenchError(f"test {test.name}: reference {test.reference!r} is unknown; use voltage or force.")
+        if test.reference not in ("force", "base", "voltage"):
+            raise BenchError(f"test {test.name}: reference {test.reference!r} is unknown; use force, base or voltage.")
         self.test, self.rows, self.settings = test, rows, settings
         channels = [*test.channels]
-        wanted = Quantity.VOLTAGE if test.reference == "voltage" else Quantity.FORCE
+        wanted = Quantity.FORCE if test.reference == "force" else Quantity.VOLTAGE
         name, point = ("u", 0) if wanted == Quantity.VOLTAGE else (f"f{test.drive_point}", test.drive_point)
         channels.append(MeasuredChannel(name, wanted, point))
         self.channels = tuple(channels)
@@ -155,9 +155,9 @@ class RandomPredictor(Predictor):
             return parts.resting
         omega = 2.0 * np.pi * parts.clock * test.lines_hz
         powers = np.array([1.0, *((rms / test.drive_rms) ** 2 for rms in test.other_rms)])
-        driven = DrivenForces(
-            parts.linear, tables, acting, parts.resting, fractions, omega, test.drive_rms, powers, parts.keys
-        )
+        # An acceleration of the base is that of so many volts, which the last of the channels is.
+        rms = test.drive_rms / float(parts.input_per_volt[0]) if test.reference == "base" else test.drive_rms
+        driven = DrivenForces(parts.linear, tables, acting, parts.resting, fractions, omega, rms, powers, parts.keys)
         base = None if cache.base is None else cache.base.forces.get((self, seconds))
         followed = None if base is None else base.followed(driven)
         if followed is None:
@@ -237,6 +237,8 @@ class RandomPredictor(Predictor):
             parts.channels[self._own] if chains is None else chains,
         )
         h *= parts.input_per_volt[0]
+        if self.test.reference == "base":  # 1 V is this acceleration of the base
+            h[:, -1] *= parts.input_per_volt[0]
         if math.isfinite(float(parts.saturation[0])) and self.test.reference == "voltage":
             # The reference is the command: the amplifier comes after it.
             h[:, :-1] *= amplifier_gain(self.test.drive_rms, float(parts.saturation[0]))

@@ -28,6 +28,7 @@ from nmt_diagnose.prediction.resting_motion import (
 )
 from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 from nmt_rig.rig import Rig
+from nmt_rig.rig_model import inputs_per_volt
 
 if TYPE_CHECKING:
     from nmt_diagnose.observations.bag_windows import BagWindows
@@ -36,19 +37,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RandomResponses(Driven):
-    """Frequency responses of a low-level random test, referred to the voltage (or, without one, to the force).
+    """Frequency responses of a low-level random test, referred to the voltage, to the force or to the base.
 
     Attributes:
         name: unique name.
         drive_point: measurement point of the exciter.
         channels: response channels, in the order of the observables.
-        reference: ``voltage`` or ``force``.
+        reference: ``voltage``, ``force`` or ``base`` (acceleration of a shaking table).
         lines_hz: frequency lines that became observables, Hz, shape (lines,).
         resolution_hz: spacing of the lines of the estimator, Hz.
         window: ``none``: the expected estimate is the response at the line itself;
             ``hann``: the expected estimate at a line is the response averaged over the neighbouring lines with the
             weights of |W|² (1/6, 2/3, 1/6 in spacings of ``resolution_hz``).
-        drive_rms: rms of the reference, V or N.
+        drive_rms: rms of the reference, V, N or m/s².
         start_s, stop_s: on the clock of its bag, s.
         drive_hold_hz: rate at which the drive went straight from sample to sample, Hz; infinite where it did not. The
             observables are responses to the samples of the drive then: smaller by sinc², and with images of the drive
@@ -152,8 +153,10 @@ class RandomResponses(Driven):
         self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
     ) -> list[Motion]:
         """Rms of the motion over its lines, by the system linearised at rest."""
-        lines = 2.0 * np.pi * self.lines_hz
-        return noise_motion(rig, self.drive_point, channels, settings, lines, self.drive_rms, self.over_force)
+        lines, rms = 2.0 * np.pi * self.lines_hz, self.drive_rms
+        if self.reference == "base":
+            rms /= inputs_per_volt(rig)[0]
+        return noise_motion(rig, self.drive_point, channels, settings, lines, rms, self.over_force)
 
     def measured_sizes(self, observations: Observations, number: int, drive: float) -> dict[str, float]:
         """Rms of each motion channel whose lines are all there."""
@@ -215,5 +218,6 @@ class RandomResponses(Driven):
 
     def magnitude_unit(self, channel: MeasuredChannel) -> str:
         """Unit of the responses of a channel."""
-        divisor = "V" if self.over_voltage else "N·m" if channel.turns else "N"
+        force = "N·m" if channel.turns else "N"
+        divisor = {"force": force, "base": "(m/s²)"}.get(self.reference, "V")
         return f"{super().magnitude_unit(channel)} / {divisor}"

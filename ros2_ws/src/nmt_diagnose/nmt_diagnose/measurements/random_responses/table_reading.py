@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.stepped_responses.table_reading import has_levels, spread_lines
+from nmt_diagnose.measurements.stepped_responses.table_reading import has_levels, require_base, spread_lines
 from nmt_diagnose.observations.noise.scatter import neighbour_cubics
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty
 from nmt_diagnose.observations.tables_together import TablesTogether
@@ -18,10 +18,15 @@ from nmt_record.exchange.sidecar.import_sidecar import TableKind
 
 
 def response_table_observations(tables: TablesTogether) -> Observations | None:
-    """Observables of frequency responses without a level that someone else has reduced; None of other tables."""
+    """Observables of frequency responses without a level that someone else has reduced; None of other tables.
+
+    Raises:
+        BenchError: they are over the acceleration of a base, and the model has none.
+    """
     name, table, settings = tables.name, tables.tables[0], tables.settings
     if table.kind != TableKind.FRF or has_levels(table):
         return None
+    require_base(tables)
     frequency = table.columns["frequency_hz"]
     response = table.responses
     size = np.abs(response)
@@ -72,7 +77,7 @@ def response_table_observations(tables: TablesTogether) -> Observations | None:
         name=name,
         drive_point=tables.view.rig.drive_point,
         channels=tables.channels[:1],
-        reference="force",
+        reference=table.reference,
         lines_hz=frequency[chosen].copy(),
         resolution_hz=float(np.min(steps[steps > 0.0])) if (steps > 0.0).any() else 1.0,
         window="none",

@@ -138,11 +138,6 @@ class SteppedResponses(Driven):
         return self.reference
 
     @property
-    def over_base(self) -> bool:
-        """Whether it was driven by the motion of its base."""
-        return self.reference == "base"
-
-    @property
     def scatter_key(self) -> object | None:
         """Sweeps of the same channels over the same have one scatter, where that is estimated."""
         return (self.channels, self.reference) if math.isfinite(self.noise_degrees) else None

@@ -87,11 +87,7 @@ def stepped_table_observations(together: TablesTogether) -> Observations | None:
     table = tables[0]
     if table.kind != TableKind.FRF or not has_levels(table):
         return None
-    if table.reference == "base" and not isinstance(view.rig.exciter, ShakingTableSection):
-        raise BenchError(
-            f"{name}: its responses are over the acceleration of the base, but the exciter of the model "
-            f"{view.rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {channels[0].point}}}."
-        )
+    require_base(together)
     held, notes = _held(name, table)
     level = table.columns.get("level", np.full(table.rows, table.level))
     if held == "force" and "force_n" in table.columns:
@@ -123,6 +119,20 @@ def stepped_table_observations(together: TablesTogether) -> Observations | None:
         test_name = name if len(groups) == 1 else f"{name} at {own_level:g} {table.level_unit}".strip()
         parts.append(_one(test_name, together, held, selected, amplitude))
     return joined([empty(notes), *parts])
+
+
+def require_base(together: TablesTogether) -> None:
+    """Refuse responses over the acceleration of a base that the model does not have.
+
+    Raises:
+        BenchError: what exciter to write.
+    """
+    rig, point = together.view.rig, together.channels[0].point
+    if together.tables[0].reference == "base" and not isinstance(rig.exciter, ShakingTableSection):
+        raise BenchError(
+            f"{together.name}: its responses are over the acceleration of the base, but the exciter of the model "
+            f"{rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {point}}}."
+        )
 
 
 def _held(name: str, table: ObservableTable) -> tuple[str, list[str]]:

@@ -11,12 +11,16 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from scipy.stats import chi2, norm
 
+from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import candidates, effect_named
-from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.fit.candidate_starts import at_strength
+from nmt_diagnose.fit.explanations import FittedExplanation, Score
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.fit.own_chain import OwnChains
+from nmt_diagnose.ledger.diagnosis import Ranked, Verdict
 from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
     Size,
@@ -316,3 +320,46 @@ def test_where_a_loop_stood_speaks_against_its_controller_alone() -> None:
 )
 def test_a_difference_is_told_as_small_only_where_it_is_smaller_than_what_matters(size: Size, words: str) -> None:
     assert words in size.sentence(DiagnosisSettings().matters)
+
+
+@cache
+def weakest_of_each() -> dict[str, tuple[Rig, Rig]]:
+    """Rigs with a third of the weakest of each effect that recordings of the model would show, and with that."""
+    search, null = searched_model()
+    strongest: dict[str, Score] = {}
+    for score in search.scores(null):
+        name = search.candidates[score.candidate].effect.name
+        if name not in strongest or score.reach > strongest[name].reach:
+            strongest[name] = score
+    rigs = {}
+    for name in WEAK:
+        score = strongest[name]
+        candidate, (strength,) = search.candidates[score.candidate], search.reported_from(null, [score])
+        effect = Parametrisation(MODEL, (), (candidate,))
+        third, weakest = (at_strength(candidate, score.start, share * strength) for share in (0.3, 1.0))
+        rigs[name] = effect.rig(third), effect.rig(weakest)
+    return rigs
+
+
+WEAK = {"channel_skew": {"channel_skew", "low_pass", "drive_hold"}, "amplitude_damping": {"amplitude_damping"}}
+
+
+@pytest.mark.parametrize("name", WEAK)
+def test_the_weakest_that_would_show_is_reported(name: str) -> None:
+    """Whether it matters or not; a third of it is not."""
+    third, weakest = weakest_of_each()[name]
+
+    def reported(rig: Rig) -> Ranked | None:
+        found = observations_of_model(rig, seed=5, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+        found = replace(found, chains=tuple(MeasuringChain() for _ in found.tests))
+        diagnosis = diagnose_observations(MODEL, found, DiagnosisSettings(look_ahead=False)).diagnosis
+        small = diagnosis.too_small
+        if small is not None:
+            assert diagnosis.verdict is Verdict.NONE
+            assert any(sentence.startswith("The model lacks ") for sentence in diagnosis.sentences)
+        return diagnosis.ranking[0] if diagnosis.verdict is Verdict.EFFECT else small
+
+    row = reported(weakest)
+    assert row is not None
+    assert {row.effect, *row.equivalents} <= WEAK[name]
+    assert reported(third) is None

@@ -53,8 +53,9 @@ from nmt_diagnose.say.result_rows import (
     parameters,
     place_rows,
     ranked_rows,
+    too_small_row,
 )
-from nmt_diagnose.say.sentences import UNITS_FIRST, likeness, relieving, sentences
+from nmt_diagnose.say.sentences import UNITS_FIRST, likeness, relieving, sentences, too_small
 from nmt_diagnose.search.findings import find
 from nmt_diagnose.search.memory import Memory
 from nmt_diagnose.search.search import Progress, Search
@@ -145,17 +146,20 @@ def observed(
     return replace(found, matters=dict(settings.matters))
 
 
-def _detectable(search: Search, scores: Sequence[Score], rig: Rig) -> tuple[DetectableEffect, ...]:
-    """The weakest that each effect could be and still show by five standard deviations, where it shows first."""
+def _detectable(
+    search: Search, base: FittedExplanation, scores: Sequence[Score], rig: Rig
+) -> tuple[DetectableEffect, ...]:
+    """The weakest that each effect could be and still be reported beside a fit, where it shows first."""
     strongest: dict[str, Score] = {}
     for score in scores:
         name = search.candidates[score.candidate].effect.name
         if score.reach > 0.0 and (name not in strongest or score.reach > strongest[name].reach):
             strongest[name] = score
     result = []
-    for name, score in sorted(strongest.items()):
+    weakest = search.reported_from(base, list(strongest.values()))
+    for (name, score), strength in sorted(zip(strongest.items(), weakest, strict=True)):
         candidate = search.candidates[score.candidate]
-        theta = at_strength(candidate, score.start, THRESHOLDS.verdict.visible_sigmas / score.reach)
+        theta = at_strength(candidate, score.start, strength)
         reported = Parametrisation(rig, (), (candidate,)).reported(theta, 0)
         values = {key: Value(value, math.nan, unit) for key, (value, unit) in reported.items()}
         location = candidate.site.location
@@ -221,16 +225,18 @@ def _diagnosed(
     located = reported if verdict is not Verdict.UNKNOWN else is_located(gap, judgement.law)
     where = place_rows(comparison, findings.sources) if located else ()
     ranking = ranked_rows(data, comparison, judgement.shares, judgement.partial) if reported else ()
+    small = None if verdict.gap else too_small_row(data, null, findings.named, comparison)
     calibration = calibration_rows(judgement.best)
-    answer = Answered(
-        where, ranking, calibration, gap, remainder(left.observations, gap, left.after, left.rows) if reported else None
-    )
+    if small is not None and comparison.small is not None and verdict is Verdict.NONE:
+        calibration = calibration_rows(comparison.small)  # without it parameters stand in for it
+    unexplained = remainder(left.observations, gap, left.after, left.rows) if reported else None
+    answer = Answered(where, ranking, calibration, gap, unexplained, small)
     ahead = _ahead(rig, judgement, left.observations, settings)
     text, warnings, where = _sentences(judgement, answer, ahead, observations, settings)
     law = judgement.law
 
     def detectable() -> tuple[DetectableEffect, ...]:
-        return _detectable(findings.search, findings.scores(), rig)
+        return _detectable(findings.search, findings.scored, findings.scores(), rig)
 
     diagnosis = Diagnosis(
         verdict=verdict,
@@ -265,6 +271,7 @@ def _diagnosed(
         other_sensors=ahead.sensors,
         answers=credible_answers(verdict, judgement.adequate, ranking, comparison.by_label),
         ledger=ledger_of(judgement),
+        too_small=small,
     )
     model, other = judgement.written
     return DiagnosisOutcome(
@@ -372,6 +379,7 @@ class Answered:
         calibration: the model's own parameters.
         gap: before and after.
         remainder: what is left; None where nothing is reported.
+        too_small: an effect that is there and does not matter; None where there is none.
     """
 
     where: tuple[PlaceShare, ...]
@@ -379,6 +387,7 @@ class Answered:
     calibration: tuple[Recalibrated, ...]
     gap: Gap
     remainder: Remainder | None
+    too_small: Ranked | None
 
 
 def _sentences(
@@ -390,6 +399,8 @@ def _sentences(
     warnings = warned(verdict, judgement.best, answer.calibration, answer.gap, members)
     warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)
+    found, row = None if verdict.gap else judgement.comparison.small, answer.too_small
+    size = None if found is None else measured_size(findings.data, found)
     text = sentences(
         verdict,
         answer.where,
@@ -400,11 +411,10 @@ def _sentences(
         answer.calibration,
         answer.remainder,
         leader.objections if leader is not None else (),
+        "" if found is None or size is None or row is None else too_small(found.fitted, row, size.words),
     )
-    small = judgement.comparison.small
-    if small is not None and not verdict.gap:
-        size = measured_size(findings.data, small)
-        like = likeness(small.fitted, parameters(findings.data, small))
+    if found is not None and size is not None and row is None:
+        like = likeness(found.fitted, parameters(findings.data, found))
         text = (*text, f"{size.sentence(settings.matters)} {like}")
     if verdict in (Verdict.NONE, Verdict.CALIBRATION):
         text = (

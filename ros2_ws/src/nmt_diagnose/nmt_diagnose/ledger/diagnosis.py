@@ -257,7 +257,7 @@ class DetectableEffect:
     Attributes:
         effect: its name.
         place, detail: where it would show first.
-        parameters: its parameters at five standard deviations.
+        parameters: its parameters at the strength from which it is reported.
     """
 
     effect: str
@@ -289,7 +289,8 @@ class Diagnosis:
     partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
     ``next_levels`` are those of the plan that was given, ``other_sensors`` those that would tell apart what no test
     that is left does. ``answers`` are the fewest that hold the truth with a probability of 95 %.
-    ``ledger`` has each explanation that was fitted, and the rules that state it or not.
+    ``ledger`` has each explanation that was fitted, and the rules that state it or not. ``too_small`` is an effect that
+    the recordings demand and that changes less than what matters; None where there is none.
     """
 
     verdict: Verdict
@@ -315,6 +316,7 @@ class Diagnosis:
     other_sensors: tuple[NextTest, ...] = ()
     answers: tuple[Answer, ...] = ()
     ledger: Ledger = field(default_factory=Ledger)
+    too_small: Ranked | None = None
 
     @property
     def law_leads(self) -> bool:

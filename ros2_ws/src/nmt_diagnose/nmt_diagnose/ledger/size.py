@@ -18,7 +18,7 @@ from nmt_diagnose.fit.fitting import Data, predicted
 from nmt_diagnose.fit.noise import sigma_of
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.row_scatter import row_scatter
-from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, pass_all
+from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.observations.observables import Natural, Observations, Part, parts_where, with_natural
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -42,11 +42,15 @@ class Size:
 
     def sentence(self, wanted: Mapping[str, float]) -> str:
         """The size in words, beside the size that matters by kind."""
-        parts = ", ".join(f"{_PERCENT * value:.2g} % of {SIZE_NAMES[kind]}" for kind, value in self.values.items())
         if matters(self, wanted):
-            size = f" of up to {parts}" if parts else ""
+            size = f" of up to {self.words}" if self.values else ""
             return f"The recordings hint at a difference{size}, which lies within their noise and tolerances."
-        return f"The recordings show a difference beyond their noise that is smaller than what matters: {parts}."
+        return f"The recordings show a difference beyond their noise that is smaller than what matters: {self.words}."
+
+    @property
+    def words(self) -> str:
+        """The size by kind of observable."""
+        return ", ".join(f"{_PERCENT * value:.2g} % of {SIZE_NAMES[kind]}" for kind, value in self.values.items())
 
 
 SIZE_NAMES = {
@@ -288,6 +292,13 @@ def beside_simpler(
     if all(more.candidates[k].site.location.kind in _SENSORS for k in numbers):
         return relieved
     return replace(relieved, left_within=left_within_belief(of_less, alone, wanted, loop))
+
+
+def is_demanded(found: FittedExplanation, null: FittedExplanation) -> bool:
+    """Whether the rows demand the effects of an explanation beside the model alone, whatever these change."""
+    needs = (found.beside.get(number, Facts(left_without=0.0)) for number in range(len(found.candidates)))
+    surely = found.fit.log_evidence - null.fit.log_evidence >= THRESHOLDS.verdict.sure_log_evidence
+    return surely and all(pass_all((NEEDED, WITHIN), facts) for facts in needs)
 
 
 def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:

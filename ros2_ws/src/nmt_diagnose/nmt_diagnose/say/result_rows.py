@@ -20,6 +20,7 @@ from nmt_diagnose.ledger.comparison import Comparison
 from nmt_diagnose.ledger.diagnosis import NULL, Gap, PlaceShare, Ranked, Recalibrated, Share, Value
 from nmt_diagnose.ledger.gap import ClosedShare
 from nmt_diagnose.ledger.held_out import Split
+from nmt_diagnose.ledger.size import is_demanded
 from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -61,6 +62,36 @@ def ranked_rows(
             )
         )
     return tuple(result)
+
+
+def too_small_row(
+    data: Data, null: FittedExplanation, named: Sequence[FittedExplanation], comparison: Comparison
+) -> Ranked | None:
+    """An effect that the recordings demand and that changes less than what matters; None where there is none.
+
+    Args:
+        data: what was fitted.
+        null: the model alone.
+        named: explanations, among them those that these recordings do not tell from it.
+        comparison: of them.
+    """
+    small = comparison.small
+    if small is None or not is_demanded(small, null):
+        return None
+    explanation = small.fitted
+    least = small.fit.log_evidence + math.log(THRESHOLDS.verdict.as_likely_share)
+    alike = dict.fromkeys(it.fitted.effects for it in named if not it.stated and it.fit.log_evidence > least)
+    return Ranked(
+        effect=joined(cause.effect for cause in explanation.causes),
+        place=explanation.kinds,
+        detail=joined(location.detail for location in explanation.locations if location.detail),
+        probability=comparison.small_probability,
+        equivalents=tuple(joined(effects) for effects in alike if effects != explanation.effects),
+        parameters=parameters(data, small),
+        closed=Share(*[math.nan] * 3),
+        sigmas=small.sigmas,
+        converged=small.fit.converged,
+    )
 
 
 def covariance_with_scale(data: Data, found: FittedExplanation) -> FloatArray:

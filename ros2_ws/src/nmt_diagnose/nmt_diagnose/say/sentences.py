@@ -48,30 +48,32 @@ def sentences(
     calibration: Sequence[Recalibrated],
     remainder: Remainder | None = None,
     left: Sequence[Objection] = (),
+    small: str = "",
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
-    ``named`` is the explanation that ``ranking`` begins with, ``left`` what it leaves that matters.
+    ``named`` is the explanation that ``ranking`` begins with, ``left`` what it leaves that matters, ``small`` the
+    sentence on an effect that is there and does not matter.
     """
     if verdict is Verdict.NONE:
         which = "Held-out data" if gap.held_out else "The data"
         moved = [item for item in calibration if abs(item.sigmas) > THRESHOLDS.verdict.visible_sigmas]
         own_parameters = (
-            f"the model's own parameters were off, by less than what matters: {_farthest(moved)}."
+            f"he model's own parameters were off, by less than what matters: {_farthest(moved)}."
             if moved
-            else "the model's own parameters need no change either."
+            else "he model's own parameters need no change either."
         )
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain."
-            if gap.as_given <= THRESHOLDS.verdict.left_over_scale
+            if gap.as_given <= THRESHOLDS.verdict.left_over_scale and not small
             else "There is no gap that matters: what is beyond the noise is smaller than that.",
-            f"No unmodelled effect is claimed; {own_parameters}",
+            f"{small} T{own_parameters}" if small else f"No unmodelled effect is claimed; t{own_parameters}",
             f"{which} lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the noise allows.",
         )
     if verdict is Verdict.CALIBRATION:
         return (
             "The gap lies in parameters that the model already has.",
-            "No unmodelled effect is needed; the parameters that moved most beside their uncertainty: "
+            f"{small or 'No unmodelled effect is needed.'} The parameters that moved most beside their uncertainty: "
             f"{_farthest(calibration)}.",
             _how_far(gap, "Re-fitting them"),
         )
@@ -141,17 +143,33 @@ def _against(left: Sequence[Objection]) -> str:
 
 def likeness(explanation: Explanation, found: Mapping[str, Value]) -> str:
     """What a difference that does not matter looks like."""
+    return f"It looks like {_with_values(explanation, found)}; '--matters' says from which size on that is a gap."
+
+
+def too_small(explanation: Explanation, row: Ranked, size: str) -> str:
+    """An effect that the recordings demand and that changes less than what matters.
+
+    Args:
+        explanation: the effect and its place.
+        row: its parameters and probability.
+        size: what it changes, in words.
+    """
+    alike = f", or {' or '.join(_title(name) for name in row.equivalents)}" if row.equivalents else ""
+    return (
+        f"The model lacks {_with_values(explanation, row.parameters)}{alike}, probability {_sure(row.probability)}. "
+        f"That is too small to matter: it changes {size}; '--matters' says from which size on it is a gap."
+    )
+
+
+def _with_values(explanation: Explanation, found: Mapping[str, Value]) -> str:
     values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in found.items())
-    what = joined(_title(cause.effect) for cause in explanation.causes)
-    return f"It looks like {what}{_at(explanation)} ({values}); '--matters' says from which size on that is a gap."
+    return f"{joined(_title(cause.effect) for cause in explanation.causes)}{_at(explanation)} ({values})"
 
 
 def relieving(explanation: Explanation, found: Mapping[str, Value]) -> str:
     """An effect that only brings model and measuring chain back to what is believed of them."""
-    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in found.items())
-    what = joined(_title(cause.effect) for cause in explanation.causes)
     return (
-        f"With {what}{_at(explanation)} ({values}) beside it parameters of the model and errors of the measuring chain "
+        f"With {_with_values(explanation, found)} beside it parameters of the model and errors of the measuring chain "
         "stay nearer to what is believed of them; no row needs it, so it is not claimed."
     )
 

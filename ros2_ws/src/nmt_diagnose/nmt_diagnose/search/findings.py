@@ -72,8 +72,8 @@ class Findings:
         left_out: explanations that were fitted and do not compete.
         law: of the local force that the model lacks, read from held levels; None where that was not looked for.
         scanned: scores of all candidates on top of the model alone; empty where nothing was looked for.
-        scores: computes those of the candidates on top of the best explanation, of the model alone where there is no
-            gap.
+        scored: the best explanation; the model alone where there is no gap.
+        scores: computes those of the candidates on top of it.
     """
 
     data: Data
@@ -84,6 +84,7 @@ class Findings:
     hypotheses: Hypotheses
     comparison: Comparison
     sources: dict[str, float]
+    scored: FittedExplanation
     inadequate: tuple[str, ...] = ()
     factors: tuple[Factor, ...] = ()
     doubtful: tuple[str, ...] = ()
@@ -203,8 +204,8 @@ def find(
         memory.keep(named, [it.found for it in standing.left_out], gap)
     lacking = modes.lacking(data, best.fit)
     return Findings(
-        data, search, as_given, null, tuple(named), hypotheses, comparison, explained, (*modes.disordered, *lacking),
-        scales,
+        data, search, as_given, null, tuple(named), hypotheses, comparison, explained, best,
+        (*modes.disordered, *lacking), scales,
         tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
         () if settled else tuple(scores()), beside_best,
     )  # fmt: skip

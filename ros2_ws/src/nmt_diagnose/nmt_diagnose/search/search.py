@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
@@ -97,13 +98,7 @@ class Search:
         if not found:
             return []
         fitted, data = base.fit, self.data
-        chain = fitted.errors.slopes
-        columns = np.column_stack([fitted.jacobian, chain])
-        # The prior of a strength must not hold back what the data say: it would look like something else.
-        prior = fitted.parametrisation.prior_std.copy()
-        prior[len(self.parameters) :] *= 1e3
-        precision = np.concatenate([prior**-2.0, np.ones(chain.shape[1])])
-        metric = Metric(columns, precision, fitted.errors.weights)
+        metric, precision = self._metric(base)
         projected, base_coefficients = metric.project(np.column_stack([column for _, _, column, _ in found]))
         now = np.concatenate([fitted.theta, fitted.errors.chain])
         left, counts, groups = fitted.errors.residual, data.counts, data.groups
@@ -132,6 +127,45 @@ class Search:
             own_start = at_strength(self.candidates[number], start, start[position] or strength)
             result.append(Score(number, own_start, gain, reach, column, signed, start))
         return sorted(result, key=lambda score: -score.gain)
+
+    def _metric(self, base: FittedExplanation) -> tuple[Metric, FloatArray]:
+        """Projection beside parameters and chain of a fit, and the precision of their priors."""
+        fitted = base.fit
+        chain = fitted.errors.slopes
+        # The prior of a strength must not hold back what the data say: it would look like something else.
+        prior = fitted.parametrisation.prior_std.copy()
+        prior[len(self.parameters) :] *= 1e3
+        precision = np.concatenate([prior**-2.0, np.ones(chain.shape[1])])
+        return Metric(np.column_stack([fitted.jacobian, chain]), precision, fitted.errors.weights), precision
+
+    def reported_from(self, base: FittedExplanation, scores: Sequence[Score]) -> list[float]:
+        """Strengths from which the evidence of effects would be sure, had they acted beside a fit.
+
+        A group of rows that learns its noise takes what is missing for noise first, so that the fall of its cost
+        grows more slowly than the square of the strength. Priors of strength and shapes cost evidence, and chance may.
+        """
+        if not scores:
+            return []
+        fitted, groups, counts = base.fit, self.data.groups, self.data.counts
+        metric, precision = self._metric(base)
+        projected, follow = metric.project(np.column_stack([score.column for score in scores]))
+        before, limits = groups.cost(fitted.errors.squares, counts), THRESHOLDS.verdict
+        stiff = np.sum(follow * (precision[:, None] * follow), axis=0)
+
+        def lacks(strength: float, number: int, least: float) -> float:
+            squares = fitted.errors.squares + strength**2 * groups.sums(projected[:, number] ** 2)
+            return groups.cost(squares, counts) + strength**2 * float(stiff[number]) - before - least
+
+        found = []
+        for number, score in enumerate(scores):
+            shapes = len(self.candidates[score.candidate].effect.parameters) - 1
+            prior = math.log(max(THRESHOLDS.fits.strength_std * score.reach, 1.0)) + shapes
+            least = (math.sqrt(2.0 * (limits.sure_log_evidence + prior)) + limits.chance_sigmas) ** 2
+            high = math.sqrt(least) / score.reach
+            while lacks(high, number, least) < 0.0:
+                high *= 2.0
+            found.append(float(brentq(lacks, 0.0, high, args=(number, least), rtol=1e-3)))
+        return found
 
     def instead_of_chain_error(self, fitted: FitResult, column: FloatArray) -> tuple[float, float] | None:
         """Strength of an effect that does what an incredible error of the chain does now, and what that saves.

@@ -23,6 +23,12 @@ class VerdictThresholds:
         "tests/diagnose/test_what_is_asked.py::"
         "test_evidence_demands_an_effect_although_re_fitted_parameters_leave_less_than_matters",
     )  # fmt: skip
+    chance_sigmas: float = threshold(
+        3.0, "σ",
+        "Standard deviations that chance may take off an effect which the weakest that would show allows for: one in "
+        "700 recordings has more against it.",
+        "tests/diagnose/test_what_is_asked.py::test_the_weakest_that_would_show_is_reported",
+    )  # fmt: skip
     recalibration_cost_fall: float = threshold(
         25.0, "−2 ln p",
         "Fall of the cost by the model's parameters alone from which that is a calibration: five standard "

@@ -83,7 +83,7 @@ def stepped_table_observations(together: TablesTogether) -> Observations | None:
     Raises:
         BenchError: what was held, or its unit, does not fit the responses.
     """
-    name, tables, view, channels = together.name, together.tables, together.view, together.channels
+    name, tables = together.name, together.tables
     table = tables[0]
     if table.kind != TableKind.FRF or not has_levels(table):
         return None

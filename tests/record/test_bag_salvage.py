@@ -91,7 +91,7 @@ def test_cuts_keep_every_whole_chunk_and_say_where_the_recording_ends(make_bag, 
 
 
 def test_flips_and_cuts_together(make_bag, tmp_path):
-    """Without an index the next whole chunk is found by its head and its checksum."""
+    """Without an index a chunk whose content is damaged is passed by its length."""
     whole = (make_bag(blocks=BLOCKS, per_chunk=PER_CHUNK) / "bag_0.mcap").read_bytes()
     chunks = make_reader(io.BytesIO(whole)).get_summary().chunk_indexes
     begin = chunks[2].chunk_start_offset  # the topic is described in the chunk before
@@ -110,6 +110,19 @@ def test_flips_and_cuts_together(make_bag, tmp_path):
         assert set(read) <= set(uncut)
         assert len(uncut) - len(read) in (0, PER_CHUNK)
         assert bag.loss is not None
+
+
+def test_without_an_index_a_damaged_head_is_the_end(make_bag, tmp_path):
+    whole = (make_bag(blocks=BLOCKS, per_chunk=PER_CHUNK) / "bag_0.mcap").read_bytes()
+    chunks = make_reader(io.BytesIO(whole)).get_summary().chunk_indexes
+    content = bytearray(whole[: chunks[-1].chunk_start_offset])
+    for place in (0, 4):  # operation code and length
+        damaged = content.copy()
+        damaged[chunks[4].chunk_start_offset + place] ^= 0x40
+        (tmp_path / "head.mcap").write_bytes(damaged)
+        bag = Bag.open(tmp_path / "head.mcap")
+        assert firsts(bag) == [SAMPLES * index for index in range(3 * PER_CHUNK)]
+        assert "is cut off" in bag.loss
 
 
 def test_metadata_may_be_damaged_anywhere(make_bag):

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
-import numpy as np
 import zstandard
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
@@ -42,8 +41,7 @@ _UINT64 = struct.Struct("<Q")
 # few megabytes.
 _LARGEST_CHUNK = 2**28
 _CHUNK_HEAD = 40  # bytes in front of the records of an uncompressed chunk
-_COMPRESSIONS = {0: b"", 3: b"lz4", 4: b"zstd"}  # by length of the name
-_SEARCH_STEP = 2**22  # bytes looked at together for the next chunk
+_LONGEST_STRETCH = 2**22  # bytes of loose messages that are read together
 
 # What a damaged record can raise while it is being taken apart.
 _DAMAGE = (
@@ -309,10 +307,14 @@ class McapFile:
         return True
 
     def _scan(self, file: Any, size: int) -> None:
-        """Walk through the records up to the end of the data; where one is broken, go on with the next whole chunk."""
+        """Walk through the records up to the end of the data, past chunks whose content is damaged.
+
+        Where the head of a record is damaged, the file ends as if it were cut there.
+        """
         schemas: dict[int, tuple[str, str, str]] = {}
         position = len(MAGIC)
         while position < size:
+            opcode, end = 0, position
             try:
                 opcode, length = _RECORD.unpack(_read_exact(file, position, _RECORD.size))
                 start, end = position + _RECORD.size, position + _RECORD.size + length
@@ -333,32 +335,15 @@ class McapFile:
                     if seen:
                         self._add(Stretch(position, len(data), False, frozenset(seen), first_time=first))
             except _DAMAGE as error:
-                end = self._next_chunk(file, position + 1, size)
-                if end is None:
+                if opcode != _OP_CHUNK or not position < end < size:
                     self._lose_end(file, position, size, str(error))
                     return
                 self.stretches.append(Stretch(position, end - position, False, frozenset(), fault=str(error)))
             position = end
         self.damage, self.cut = "the file ends without its index", True
 
-    def _next_chunk(self, file: Any, position: int, size: int) -> int | None:
-        """Where the next whole chunk begins, None if there is none."""
-        while position < size - _CHUNK_HEAD:
-            window = _read_exact(file, position, min(_SEARCH_STEP + _CHUNK_HEAD + _RECORD.size, size - position))
-            for candidate in _chunk_candidates(window):
-                place = position + candidate
-                try:
-                    _, length = _RECORD.unpack_from(window, candidate)
-                    if place + _RECORD.size + length <= size:
-                        _unpack_chunk(_read_exact(file, place + _RECORD.size, length))
-                        return place
-                except _DAMAGE:
-                    continue
-            position += _SEARCH_STEP
-        return None
-
     def _lose_end(self, file: Any, position: int, size: int, reason: str) -> None:
-        """No whole chunk follows: either the last one is damaged, or the file is cut."""
+        """Nothing behind a place can be read: either it is damaged, or the file is cut."""
         if size - position > 37 and self._has_tail(file, size):
             self.stretches.append(Stretch(position, size - position, False, frozenset(), fault=reason))
             self.damage = "its index is damaged"
@@ -369,7 +354,7 @@ class McapFile:
     def _add(self, stretch: Stretch) -> None:
         before = self.stretches[-1] if self.stretches else None
         loose = before is not None and not before.chunk and not before.fault and not stretch.chunk
-        if before and loose and before.offset + before.length == stretch.offset and before.length < _SEARCH_STEP:
+        if before and loose and before.offset + before.length == stretch.offset and before.length < _LONGEST_STRETCH:
             self.stretches[-1] = Stretch(
                 before.offset,
                 before.length + stretch.length,
@@ -507,23 +492,6 @@ def _unpack_chunk(content: bytes, packing: tuple[str, int, int] | None = None) -
     if len(data) != size or (checksum and zlib.crc32(data) != checksum):
         raise ValueError("the checksum of a chunk is wrong")
     return data
-
-
-def _chunk_candidates(window: bytes) -> list[int]:
-    """Where in some bytes the head of a chunk may begin, by those of its bytes that hardly vary."""
-    data = np.frombuffer(window, dtype=np.uint8)
-    count = data.size - _CHUNK_HEAD - _RECORD.size
-    if count <= 0:
-        return []
-    likely = data[:count] == _OP_CHUNK
-    likely &= (data[5 : 5 + count] | data[6 : 6 + count] | data[7 : 7 + count] | data[8 : 8 + count]) == 0
-    likely &= (data[38 : 38 + count] | data[39 : 39 + count] | data[40 : 40 + count]) == 0
-    found = []
-    for place in np.flatnonzero(likely).tolist():
-        name = _COMPRESSIONS.get(window[place + 37])
-        if name is not None and window[place + 41 : place + 41 + len(name)] == name:
-            found.append(place)
-    return found
 
 
 def _records(data: bytes | memoryview) -> Iterator[tuple[int, int, int]]:

@@ -15,12 +15,14 @@ TESTS = Path(__file__).resolve().parents[1]
 
 
 def recordings(function: ast.FunctionDef) -> int:
-    """Recordings of a test: the sets of parameters that it is called with."""
+    """Recordings of a test in both tiers: the sets of parameters that it is called with."""
     count = 1
     for call in (it for it in function.decorator_list if isinstance(it, ast.Call)):
         if ast.unparse(call.func) != "pytest.mark.parametrize":
             continue
         values = call.args[1]
+        if isinstance(values, ast.Call) and ast.unparse(values.func) == "with_quick":
+            values = values.args[0]
         if isinstance(values, ast.List | ast.Tuple):
             count *= len(values.elts)
         elif isinstance(values, ast.Call) and ast.unparse(values.func) == "range":

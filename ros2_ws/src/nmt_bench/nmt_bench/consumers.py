@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib
 
-from nmt_core.messages.driven_test import Covers
+from nmt_core.messages.driven_test import Covers, DrivenTest
 
 CONSUMERS: dict[str, str] = {
     "run": "nmt_session.coverage",
@@ -18,7 +18,7 @@ CONSUMERS: dict[str, str] = {
     "nmt.open": "nmt.opening",
     "report": "nmt_report.coverage",
     "figures": "nmt_report.coverage",
-    "page": "nmt_bench.page.coverage",
+    "page": "nmt_bench.consumers",
 }
 """Module with the function ``covers`` of each consumer; the first says what can be done at all.
 
@@ -31,3 +31,9 @@ def covers_of(consumer: str) -> Covers:
     """What a consumer says of a test: empty = it takes it, else one sentence why not."""
     found: Covers = importlib.import_module(CONSUMERS[consumer]).covers
     return found
+
+
+def covers(test: DrivenTest) -> str:
+    """Of the live page, empty: signals, levels and the loop's state are shown of any test."""
+    del test
+    return ""

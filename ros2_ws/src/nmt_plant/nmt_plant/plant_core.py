@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
 
 from nmt_core.messages.blocks import SampleBlock
 from nmt_core.messages.cdr import bench_time_ns
@@ -11,7 +12,6 @@ from nmt_core.messages.records import DriveCommand, DriveStop, RunState, SignalL
 from nmt_core.messages.run_announcement import TAKEN_TOPICS
 from nmt_core.vocabulary import OutputState, Quantity, RunPhase, StopCause
 from nmt_plant.devices.device import Device, DeviceState, check_drive
-from nmt_plant.lockstep import LockstepGate
 from nmt_plant.signal_levels import LevelMeter
 
 _ACTIVE = (RunPhase.RUNNING, RunPhase.PAUSED, RunPhase.STOPPING, RunPhase.DONE)
@@ -20,6 +20,32 @@ _LONGEST_END = 10.0  # s of bench time
 _LONGEST_STALL = 10.0  # s that the loop may miss in real time
 READERS = tuple(TAKEN_TOPICS)
 """Nodes that are waited for in lockstep: what they have not taken waits in memory."""
+
+
+@dataclass
+class LockstepGate:
+    """Holds back block n + 1 + latency until the drive computed from block n has arrived.
+
+    Attributes:
+        block_samples: samples a block.
+        latency_blocks: blocks the plant may run ahead of its commands.
+        answered: last sample that a command was computed from, -1 before the first.
+        horizon: first sample that may not be produced yet.
+    """
+
+    block_samples: int
+    latency_blocks: int
+    answered: int = -1
+    horizon: int = 0
+
+    def may_produce(self, next_sample: int) -> bool:
+        """Whether the block that starts at ``next_sample`` is due."""
+        needed = next_sample - self.latency_blocks * self.block_samples - 1
+        return next_sample + self.block_samples <= self.horizon and self.answered >= needed
+
+    def starved(self, next_sample: int) -> bool:
+        """Whether a command is missing although the horizon would let the block pass, or the horizon stands still."""
+        return not self.may_produce(next_sample)
 
 
 class PlantCore:

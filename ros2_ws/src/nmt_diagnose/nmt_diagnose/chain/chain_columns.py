@@ -31,7 +31,6 @@ from nmt_diagnose.chain.chain_tests import (
 )
 from nmt_diagnose.chain.coupled_modes import CoupledModes
 from nmt_diagnose.chain.modes_left_out import ModesLeftOut
-from nmt_diagnose.chain.record_errors import record_errors
 from nmt_diagnose.chain.shape_errors import ShapeErrors
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.location import LocationKind
@@ -41,6 +40,7 @@ from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
+from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import BeamSection, Rig, SensorSection
@@ -449,3 +449,34 @@ def _louder(sensor: SensorSection) -> SensorSection:
 
 def _leading(sensor: SensorSection, corner_hz: float) -> SensorSection:
     return sensor.model_copy(update={"high_pass_hz": (sensor.high_pass_hz or 0.0) + corner_hz})
+
+
+def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]:
+    """What a standard deviation of each error adds to the observables, (m,) each, about the motion of a rig.
+
+    Sensors of the bench's own simulator have neither zeros nor gains that are off. The zero of a sensor is one for all
+    records, which it drifts about: what is little beside a loud record is much beside a quiet one.
+
+    Args:
+        observations: the real side.
+        rig: an explanation of it.
+    """
+    rows, settings = observations.rows, PredictionSettings()
+    cache, found = PartsCache(settings), {}
+    by_sensor: dict[str, list[tuple[float, FloatArray]]] = {}
+    chains = (*observations.chains, *[None] * len(observations.tests))
+    for number, (test, chain) in enumerate(zip(observations.tests, chains, strict=False)):
+        selected = rows.test == number
+        part = rows.take(selected)
+        part = replace(part, test=np.zeros_like(part.test))
+        errors, zeros = test.record_errors(part, rig, cache, settings, chain)
+        for name, column in errors.items():
+            found[name] = np.zeros(len(rows))
+            found[name][selected] = column
+            if name in zeros:
+                by_sensor.setdefault(name.removesuffix(f" in {test.name}"), []).append((zeros[name], found[name]))
+    for name, columns in by_sensor.items():
+        largest = max(std for std, _ in columns)
+        if len(columns) > 1:
+            found[name] = np.sum([largest / std * column for std, column in columns if std > 0.0], axis=0)
+    return found

@@ -79,7 +79,7 @@ def test_the_band_holds_the_next_unit(between, low, high):
 
 def test_the_false_alarms_of_a_group_are_shared_by_its_parameters():
     """Eight parameters of five units that are alike: 2 % of groups, at the level of one parameter 14 %."""
-    random, alarms, trials, parameters = np.random.default_rng(12), 0, 300, 8
+    random, alarms, trials, parameters = np.random.default_rng(12), 0, 120, 8
     for _ in range(trials):
         groups = [estimates(random.normal(0.0, 3.0, 5), 0.3) for _ in range(parameters)]
         alarms += any(components(group, parameters).odd for group in groups)

@@ -15,12 +15,11 @@ from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_rig.model.assembly import displacement_output
+from nmt_rig.model.assembly import displacement_output, driven_by_force
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.model.phase_resonance import phase_resonant_backbone
-from nmt_rig.model.shaking_table import driven_by_force
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_structure, build_system

@@ -1,10 +1,16 @@
-"""Everything but nodes, the harness and the run command imports on a machine without ROS 2."""
+"""Everything but nodes, the harness and the run command imports without ROS 2; modules import in few circles."""
 
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
+from pathlib import Path
+
+import numpy as np
+from scipy.sparse import lil_array
+from scipy.sparse.csgraph import connected_components
 
 from .conftest import ROOT
 
@@ -53,3 +59,36 @@ def test_numerical_modules_import_without_ros():
     answer = subprocess.run([sys.executable, "-c", SCRIPT, *modules], capture_output=True, text=True, env=environment)
     assert answer.returncode == 0, answer.stderr
     assert answer.stdout.strip() == ""
+
+
+CIRCLES = 9
+"""Circles of modules that import each other; their number may fall."""
+
+
+IMPORT = re.compile(r"^ *(?:import (nmt\w*[\w.]*)|from (nmt\w*[\w.]*) import (\([^)]*\)|[^\n#]*))", re.M)
+
+
+def imported(file: Path, modules: dict[str, Path]) -> set[str]:
+    """Modules of the bench that a file imports anywhere: for type checkers and inside functions, too."""
+    found = set()
+    for module, package, names in IMPORT.findall(file.read_text(encoding="utf-8")):
+        members = {f"{package}.{name}" for name in re.findall(r"\w+", names)}
+        found |= members & modules.keys() or {module or package}
+    return found & modules.keys()
+
+
+def test_modules_import_each_other_in_no_more_circles():
+    modules = {
+        ".".join(file.relative_to(init.parent.parent).with_suffix("").parts).removesuffix(".__init__"): file
+        for init in SOURCES
+        for file in init.parent.rglob("*.py")
+    }
+    names = sorted(modules)
+    graph = lil_array((len(names), len(names)), dtype=bool)
+    for row, name in enumerate(names):
+        for other in imported(modules[name], modules) - {name}:
+            graph[row, names.index(other)] = True
+    _, labels = connected_components(graph.tocsr(), connection="strong")
+    circles = [[names[k] for k in np.flatnonzero(labels == label)] for label in np.unique(labels)]
+    circles = [circle for circle in circles if len(circle) > 1]
+    assert len(circles) <= CIRCLES, circles

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field
 
 from nmt_core.messages.records import LevelCommand, LoopStatus
 from nmt_core.vocabulary import BlockFlag, LoopState, RunPhase
-from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
+from nmt_sequencer.level_plan import RunPlan
+from nmt_sequencer.run_machine import Pacing, RunMachine
 
 BLOCK = 100
 RATE = 1000.0

@@ -13,7 +13,7 @@ from nmt_core.kinds import ResponseCurveTest
 from nmt_core.messages.records import LoopStatus
 from nmt_core.vocabulary import ControlKind, CurveParameter, LoopState
 from nmt_sequencer.curve_steps import CurveStep, CurveSteps
-from nmt_sequencer.run_machine import RunPlan
+from nmt_sequencer.level_plan import RunPlan
 from nmt_sequencer.steering import with_repetition, with_rest
 
 KIND = ResponseCurveTest(lag_from=math.radians(10.0), lag_to=math.radians(170.0), spacing=0.2)

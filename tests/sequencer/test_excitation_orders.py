@@ -10,7 +10,7 @@ from sequencer.bench import Bench, Fate
 from nmt_core.errors import BenchError
 from nmt_core.kinds import SweepTest
 from nmt_core.vocabulary import ResultCode
-from nmt_sequencer.run_machine import RunPlan
+from nmt_sequencer.level_plan import RunPlan
 
 SWEEP = SweepTest(rate_hz_s=0.2, frequency_end_hz=390.0)
 

@@ -11,8 +11,8 @@ from nmt_core.messages.command_judge import CommandSource
 from nmt_core.messages.records import DriveStop, LoopStatus
 from nmt_core.settings import settings_of
 from nmt_core.vocabulary import BlockFlag, LoopState, OutputState, ResultCode, RunPhase, StopCause
+from nmt_sequencer.level_plan import RunPlan
 from nmt_sequencer.run_core import RunCore
-from nmt_sequencer.run_machine import RunPlan
 from nmt_sequencer.sequencer_settings import SequencerSettings
 
 BLOCK, RATE = 100, 1000.0

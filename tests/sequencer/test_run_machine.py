@@ -12,7 +12,8 @@ from sequencer.bench import BLOCK, PACING, Bench, Fate, status
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import BlockFlag, LoopState, ResultCode, RunPhase
-from nmt_sequencer.run_machine import NO_HORIZON, Pacing, RunMachine, RunPlan
+from nmt_sequencer.level_plan import RunPlan
+from nmt_sequencer.run_machine import NO_HORIZON, Pacing, RunMachine
 
 TICK = PACING.tick
 REALTIME = replace(PACING, lockstep=False)

@@ -15,7 +15,8 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds import SteppedSineTest
 from nmt_core.messages.records import Steering
 from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_sequencer.run_machine import RunMachine, RunPlan
+from nmt_sequencer.level_plan import RunPlan
+from nmt_sequencer.run_machine import RunMachine
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
 
 REALTIME = replace(PACING, lockstep=False)

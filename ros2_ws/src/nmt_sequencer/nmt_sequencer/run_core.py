@@ -14,7 +14,8 @@ from nmt_core.messages.run_announcement import RunAnnouncement
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.text.number_words import level_list
 from nmt_core.vocabulary import ResultCode, RunPhase, StopCause
-from nmt_sequencer.run_machine import Pacing, RunMachine, RunPlan
+from nmt_sequencer.level_plan import RunPlan
+from nmt_sequencer.run_machine import Pacing, RunMachine
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_sequencer.steering import SteeringRequest
 

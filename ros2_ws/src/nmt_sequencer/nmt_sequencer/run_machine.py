@@ -18,55 +18,14 @@ from dataclasses import dataclass, field, replace
 from nmt_core.errors import BenchError
 from nmt_core.messages.cdr import bench_time_ns
 from nmt_core.messages.records import LevelCommand, LoopStatus, Steering
-from nmt_core.messages.run_settings import RunSettings
-from nmt_core.vocabulary import BlockFlag, ControlKind, LoopState, ResultCode, RunPhase, SteeringAct
-from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, check_levels
+from nmt_core.vocabulary import BlockFlag, LoopState, ResultCode, RunPhase, SteeringAct
+from nmt_sequencer.level_plan import NO_LIMITS, LevelLimits, RunPlan
 from nmt_sequencer.schedule import Schedule, Steps, schedule_of
 from nmt_sequencer.steering import PRESENT_LEVEL, SteeringRequest, with_repetition, with_rest
 
 NO_HORIZON = 2**62
 _TRIPPED = int(BlockFlag.LIMIT | BlockFlag.WATCHDOG | BlockFlag.STOP)
 _STOPPED = int(BlockFlag.STOP)
-
-
-@dataclass(frozen=True)
-class RunPlan(RunSettings):
-    """What to run: what was asked for, with the sequencer's parameters in place of what was left open.
-
-    Attributes:
-        timeout: bench time a level may take to lock, s; 0 = no limit.
-        phases: phase of each level by which the held force leads the velocity, rad; empty = phase resonance, or as the
-            kind of test begins.
-        open_loop_abort: end the run where a higher level would follow one that was lost without force or response.
-    """
-
-    ramp: float = 0.5
-    window_periods: int = 200
-    timeout: float = 30.0
-    phases: tuple[float, ...] = ()
-    open_loop_abort: bool = True
-
-    def __post_init__(self) -> None:
-        check_levels(self.levels, "Plan")
-        if not self.phases:
-            levels, phases = self.kind.steps(self.levels)
-            object.__setattr__(self, "levels", levels)
-            object.__setattr__(self, "phases", phases)
-        if self.control not in (ControlKind.VOLTAGE, ControlKind.RESPONSE, ControlKind.FORCE):
-            raise BenchError(f"Control {self.control} is not known; use 1 (voltage), 2 (response) or 3 (force).")
-        if not 0.0 <= self.ramp < 1e6:
-            raise BenchError(f"The ramp must be finite and >= 0 s, got {self.ramp}.")
-        if not 0.0 <= self.timeout < 1e9:
-            raise BenchError(f"The time-out must be finite and >= 0 s, got {self.timeout}.")
-        if self.window_periods < 1:
-            raise BenchError(f"A window needs at least one period, got {self.window_periods}.")
-        if (self.kind.puts_levels_in or self.phases) and self.levels_without:
-            raise BenchError("Levels can be put in only where all are done alike: leave out --compare.")
-
-    def check(self, sample_rate: float, limits: LevelLimits = NO_LIMITS) -> None:
-        """Refuse (BenchError) what a bench of this sample rate (Hz) cannot do, and what its rig does not allow."""
-        limits.check(self.levels, self.control, self.kind)
-        self.kind.check(self.frequencies_hz, len(self.levels), self.control, sample_rate)
 
 
 @dataclass(frozen=True)

@@ -33,8 +33,8 @@ from nmt_core.vocabulary import LoopState, ResultCode, RunPhase, SteeringAct
 from nmt_msgs import msg
 from nmt_msgs.action import RunLevels
 from nmt_msgs.srv import Steer
+from nmt_sequencer.level_plan import RunPlan
 from nmt_sequencer.run_core import RunCore
-from nmt_sequencer.run_machine import RunPlan
 from nmt_sequencer.sequencer_settings import SequencerSettings
 from nmt_sequencer.steering import SteeringRequest
 

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import SteeringAct
-from nmt_sequencer.level_plan import MAX_LEVELS, check_levels
-
-if TYPE_CHECKING:
-    from nmt_sequencer.run_machine import RunPlan
+from nmt_sequencer.level_plan import MAX_LEVELS, RunPlan, check_levels
 
 PRESENT_LEVEL = 2**32 - 1
 """Stands for the level that is present when the request comes; as in ``nmt_msgs/Steer``."""

@@ -34,6 +34,7 @@ from nmt_rig.model.assembly import (
     ElectromechanicalSystem,
     acceleration_output,
     displacement_output,
+    driven_by_force,
     velocity_output,
 )
 from nmt_rig.model.exciter import Exciter
@@ -41,7 +42,6 @@ from nmt_rig.model.forced_response import force_rows
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements import ELEMENTS
 from nmt_rig.model.local_elements.element import SLIDER_STIFFNESS, LocalElement
-from nmt_rig.model.shaking_table import driven_by_force
 from nmt_rig.model.structure import Structure
 from nmt_rig.rig import (
     AnyExciter,

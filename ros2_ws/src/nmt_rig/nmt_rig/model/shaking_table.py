@@ -11,15 +11,11 @@ back on it. Between the acceleration asked for, u, and a there may be
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.structure import Array, Structure
-
-if TYPE_CHECKING:
-    from nmt_rig.model.assembly import ElectromechanicalSystem
 
 
 @dataclass(frozen=True)
@@ -97,97 +93,3 @@ def effective_mass(structure: Structure, shape: Array, drive_point: int) -> floa
     if load * load <= 1e-12 * modal_mass * float(np.trace(structure.mass)):
         raise ValueError("a motion of the base does not excite the mode")
     return load / at_drive
-
-
-def on_table(structure: Structure, system: ElectromechanicalSystem, table: ShakingTable) -> ElectromechanicalSystem:
-    """A system of structure and elements with the table as its exciter; the input is u, m/s².
-
-    Args:
-        structure: with a base load.
-        system: the structure with its elements and an ideal force, as many unknowns as the structure.
-        table: the table.
-
-    Raises:
-        ValueError: the structure has no base load.
-    """
-    load = structure.base_load
-    if load is None:
-        raise ValueError("the structure does not say how its base excites it")
-    n = structure.size
-    position = n if table.suspension is not None else None
-    filtered = None if table.bandwidth is None else n + (position is not None)
-    size = n + (position is not None) + (filtered is not None)
-    mass, damping, stiffness = (np.zeros((size, size)) for _ in range(3))
-    for larger, own in ((mass, structure.mass), (damping, structure.damping), (stiffness, structure.stiffness)):
-        larger[:n, :n] = own
-    # Rows that the acceleration y (or u) drives, and the acceleration a of the table as an output.
-    driven = np.zeros(size)
-    driven[:n] = -load
-    rows = np.zeros((3, size))
-    if position is not None:
-        assert table.suspension is not None
-        rate, square = 2.0 * table.suspension_damping * table.suspension, table.suspension**2
-        driven[position] = 1.0
-        mass[position, position] = 1.0
-        damping[position, position], stiffness[position, position] = rate, square
-        damping[:n, position], stiffness[:n, position] = -load * rate, -load * square
-        rows[0, position] = 1.0
-    inputs = driven
-    if filtered is not None:
-        assert table.bandwidth is not None
-        damping[filtered, filtered] = 1.0 / table.bandwidth
-        stiffness[filtered, filtered] = 1.0
-        stiffness[:filtered, filtered] -= driven[:filtered]
-        inputs = np.zeros(size)
-        inputs[filtered] = 1.0
-        if position is None:
-            rows[2, filtered] = 1.0
-    ideal = position is None and filtered is None
-    acceleration = OutputRow(rows[0], rows[1], rows[2], 1.0 if ideal else 0.0)
-    weights = {point: structure.base_motion.get(point, 1.0) for point in structure.point_numbers}
-
-    def extended(vector: Array) -> Array:
-        return np.concatenate([vector, np.zeros(size - n)])
-
-    none = OutputRow(np.zeros(size), np.zeros(size), np.zeros(size), 0.0)
-    return replace(
-        system,
-        mass=mass,
-        damping=damping,
-        stiffness=stiffness,
-        exciters=(
-            replace(system.exciters[0], input_vector=inputs, force=none.plus(acceleration, -table.effective_mass)),
-        ),
-        elements=tuple(element.along(extended(element.direction)) for element in system.elements),
-        shapes={point: extended(row) for point, row in system.shapes.items()},
-        first_order=int(filtered is not None),
-        base=BaseMotion(acceleration, position, weights if table.absolute else {}),
-    )
-
-
-def driven_by_force(system: ElectromechanicalSystem) -> ElectromechanicalSystem:
-    """A system on an ideal table with the force that stands for the base acceleration as its input, N.
-
-    A table whose position is modelled is taken as free: far above its suspension it moves with the acceleration asked
-    for.
-
-    Raises:
-        ValueError: the system is on no table, or the table has a bandwidth.
-    """
-    if system.base is None or system.first_order:
-        raise ValueError("only a system on an ideal shaking table can be driven by its equivalent force")
-    force, acceleration, index = system.force, system.base.acceleration, system.base.index
-    per_force = 1.0 / (force.feedthrough if index is None else force.acceleration[index])
-    none = np.zeros(system.size)
-    exciter = replace(
-        system.exciters[0],
-        input_vector=system.input_vector * per_force,
-        force=replace(force, acceleration=none, feedthrough=1.0)
-        if index is not None
-        else replace(force, feedthrough=1.0),
-    )
-    return replace(
-        system,
-        exciters=(exciter,),
-        base=replace(system.base, acceleration=replace(acceleration, feedthrough=acceleration.feedthrough * per_force)),
-    )

@@ -38,7 +38,8 @@ def verdict_with(diagnosis: RobotDiagnosis, monkeypatch: pytest.MonkeyPatch, **l
     joint = diagnosis.joints[0]
     assert isinstance(joint.mechanics, JointMechanics)
     plain = (joint.torque, joint.as_logged)
-    verdict = joint_verdict.joint_verdict(joint.joint, diagnosis.motion, 0, [joint.mechanics], plain)
+    nothing = np.zeros(len(diagnosis.motion.q))
+    verdict = joint_verdict.joint_verdict(joint.joint, diagnosis.motion, 0, [joint.mechanics], plain, nothing)
     return bool(next(term.differs for term in verdict.terms if term.key == "coulomb"))
 
 

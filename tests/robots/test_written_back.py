@@ -35,7 +35,7 @@ def diagnosed(path: Path) -> Any:
         for key, value in (("coulomb", 0.7543), ("viscous", 0.25), ("spring", 3.0))
     ]
     joint = SimpleNamespace(joint=SimpleNamespace(name="hip"), terms=terms)
-    return SimpleNamespace(model=SimpleNamespace(file=read_robot(path)), joints=[joint])
+    return SimpleNamespace(model=SimpleNamespace(file=read_robot(path)), joints=[joint], bodies=None)
 
 
 def stripped(element: ElementTree.Element) -> str:

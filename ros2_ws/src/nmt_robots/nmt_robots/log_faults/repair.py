@@ -93,9 +93,10 @@ def with_fresh_rows(log: JointLog, stale: Array) -> JointLog:
     fresh = np.setdiff1d(np.arange(log.rows), stale)
     if not len(stale) or len(fresh) < 10:
         return log
-    rows = np.arange(log.rows, dtype=float)
+    time = np.maximum.accumulate(log.time)
+    rising = fresh[np.r_[True, np.diff(time[fresh]) > 0.0]]
     changed: dict[str, Any] = {
-        name: _between(rows[fresh], values[fresh], rows, held=False)
+        name: _between(time[rising], values[rising], time, held=False)
         for name in ("position", "velocity", "torque")
         if (values := getattr(log, name)) is not None
     }

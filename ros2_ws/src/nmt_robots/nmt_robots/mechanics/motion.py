@@ -18,7 +18,7 @@ from nmt_robots.thresholds import THRESHOLDS
 
 _ROWS = 11
 _SPAN_S = 0.02
-_LONGEST_S = 0.06
+_LONGEST_S = 0.13
 _ROUGH = 0.25
 
 
@@ -125,6 +125,15 @@ def _roughness(a: Array, window: int) -> float:
     size = np.std(a, axis=0)
     moving = size > 0.05 * float(np.max(size))
     return float(np.max((np.std(a - smoothed(a, window), axis=0) / np.maximum(size, 1e-300))[moving]))
+
+
+def with_bodies(model: RobotModel, log: JointLog, motion: Motion) -> Motion:
+    """The same motion with the torque that other bodies need."""
+    still = np.zeros_like(motion.q)
+    rigid, gravity = (
+        motion.smooth(model.torque(log.joints, motion.q, *moved)) for moved in ((motion.v, motion.a), (still, still))
+    )
+    return replace(motion, rigid=rigid, gravity=gravity)
 
 
 def with_link_masses(model: RobotModel, log: JointLog, motion: Motion) -> Motion:

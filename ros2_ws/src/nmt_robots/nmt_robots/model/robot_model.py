@@ -7,6 +7,7 @@ are not in the torque, so that they are not counted twice.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,39 @@ class Joint:
     gear: float = 1.0
 
 
+@dataclass(frozen=True, eq=False)
+class Frames:
+    """Bodies and joints in each of N poses, in the world.
+
+    Attributes:
+        position: N × bodies × 3, m.
+        turn: N × bodies × 3 × 3; columns are the axes of a body.
+        axis, anchor: N × joints × 3.
+    """
+
+    position: Array
+    turn: Array
+    axis: Array
+    anchor: Array
+
+
+@dataclass(frozen=True, eq=False)
+class BodyChange:
+    """A body that is not as in the file.
+
+    Attributes:
+        body: its number.
+        mass: kg.
+        centre: 3, in its frame, m.
+        inertia: 3 × 3 about the centre, kg·m².
+    """
+
+    body: int
+    mass: float
+    centre: Array
+    inertia: Array
+
+
 class RobotModel:
     """A robot whose rigid-body torque can be asked for.
 
@@ -68,6 +102,8 @@ class RobotModel:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
+        self.changes: tuple[BodyChange, ...] = ()
+        self.changed_gravity: Array | None = None
         mujoco = self._mujoco = mujoco_library()
         self.file: RobotFile = read_robot(self.path)
         model, self.facts = compiled(mujoco, self.file)
@@ -92,6 +128,27 @@ class RobotModel:
         flags = mujoco.mjtDisableBit
         model.opt.disableflags |= int(flags.mjDSBL_CONTACT | flags.mjDSBL_LIMIT | flags.mjDSBL_FRICTIONLOSS)
         self._data = mujoco.MjData(model)
+
+    def with_bodies(self, changes: Sequence[BodyChange], gravity: Array | None = None) -> RobotModel:
+        """The robot with some bodies and, where it is given, gravity (m/s²) changed."""
+        found = copy(self)
+        found.changes, found.changed_gravity = tuple(changes), gravity
+        found._model = copy(self._model)
+        found.change(found._model)
+        found._data = self._mujoco.MjData(found._model)
+        return found
+
+    def change(self, model: Any) -> None:
+        """Put the changed bodies and gravity into a model of the same file."""
+        for item in self.changes:
+            moments, axes = np.linalg.eigh(item.inertia)
+            axes[:, 2] *= np.sign(np.linalg.det(axes))
+            turn = np.empty(4)
+            self._mujoco.mju_mat2Quat(turn, axes.ravel())
+            model.body_mass[item.body], model.body_ipos[item.body] = item.mass, item.centre
+            model.body_inertia[item.body], model.body_iquat[item.body] = moments, turn
+        if self.changed_gravity is not None:
+            model.opt.gravity[:] = self.changed_gravity
 
     @property
     def name(self) -> str:
@@ -161,6 +218,58 @@ class RobotModel:
         body = self._model.jnt_bodyid[self._numbers[joint]]
         return np.flatnonzero(self._model.body_weldid == self._model.body_weldid[body])
 
+    def at_rest(self) -> tuple[Any, Any]:
+        """MuJoCo's model, and its data in the file's own pose."""
+        self._mujoco.mj_resetData(self._model, self._data)
+        self._mujoco.mj_kinematics(self._model, self._data)
+        return self._model, self._data
+
+    def sliding(self) -> list[bool]:
+        """Whether each joint of MuJoCo's model slides, by its number."""
+        return [int(kind) == int(self._mujoco.mjtJoint.mjJNT_SLIDE) for kind in self._model.jnt_type]
+
+    def numbers_of(self, names: Sequence[str]) -> list[int]:
+        """Numbers of joints in MuJoCo's model."""
+        return [self._numbers[name] for name in names]
+
+    def body_joints(self, names: Sequence[str]) -> dict[int, list[str]]:
+        """Joints among some by the number of the body that they move."""
+        found: dict[int, list[str]] = {}
+        for name in names:
+            found.setdefault(int(self._model.jnt_bodyid[self._numbers[name]]), []).append(name)
+        return found
+
+    def body_name(self, body: int) -> str:
+        """Of a body, or of the joint that moves it."""
+        mujoco, model = self._mujoco, self._model
+        joint = int(model.body_jntadr[body])
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, body)
+        return str(name or (_joint_name(mujoco, model, joint) if joint >= 0 else f"body {body}"))
+
+    def frames(self, names: Sequence[str], q: Array) -> Frames:
+        """Where all bodies and joints are in each pose.
+
+        Args:
+            names: J joints that move, followers among them.
+            q: rows × J.
+        """
+        mujoco, model, data = self._mujoco, self._model, self._data
+        mujoco.mj_resetData(model, data)
+        places = model.jnt_qposadr[self.numbers_of(names)]
+        rows = len(q)
+        found = Frames(
+            np.empty((rows, model.nbody, 3)), np.empty((rows, model.nbody, 3, 3)), np.empty((rows, model.njnt, 3)),
+            np.empty((rows, model.njnt, 3)),
+        )  # fmt: skip
+        angles, position, turn = data.qpos, data.xpos, data.xmat.reshape(-1, 3, 3)
+        axis, anchor = data.xaxis, data.xanchor
+        for row in range(rows):
+            angles[places] = q[row]
+            mujoco.mj_kinematics(model, data)
+            found.position[row], found.turn[row] = position, turn
+            found.axis[row], found.anchor[row] = axis, anchor
+        return found
+
     def torque(
         self, names: tuple[str, ...], q: Array, v: Array, a: Array, yielding: bool = False, heavier: str = ""
     ) -> Array:
@@ -187,7 +296,7 @@ class RobotModel:
         angles, rates, changes, found = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
         q, v, a = q @ ratios + offsets, v @ ratios, a @ ratios
         model.body_mass[bodies] *= 2.0
-        shares = self._shares(names)
+        shares = self.shares(names)
         for row in range(len(q)):
             angles[positions] = q[row]
             rates[speeds] = v[row]
@@ -216,7 +325,7 @@ class RobotModel:
         numbers = [self._numbers[name] for name in everyone]
         return self._model.jnt_qposadr[numbers], self._model.jnt_dofadr[numbers], ratios, offsets
 
-    def _shares(self, names: Sequence[str]) -> Array:
+    def shares(self, names: Sequence[str]) -> Array:
         """J × (J + F): by how much the torque of each of these joints is that of a named one."""
         shares, place = self.with_followers(names)[1], list(names).index
         for item in self.followers(names):

@@ -45,6 +45,9 @@ class RobotSimulation:
         followers = self._all_dofs[len(names) :]
         for values in (model.dof_damping, model.dof_armature, model.dof_frictionloss):
             values[followers] = 0.0
+        robot.change(model)
+        if robot.changes:
+            mujoco.mj_setConst(model, mujoco.MjData(model))
         for name, factor in (heavier or {}).items():
             model.body_mass[robot.bodies_of(name)] *= factor
         self._data, self._still = mujoco.MjData(model), mujoco.MjData(model)

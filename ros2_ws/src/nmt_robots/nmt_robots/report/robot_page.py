@@ -40,6 +40,7 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
         sections=[
             *([("file", "The robot's file", _file(diagnosis))] if diagnosis.of_file else []),
             ("log", "The log", _log(diagnosis)),
+            *([("bodies", "Bodies", _bodies(diagnosis))] if diagnosis.bodies else []),
             ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
             ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
             *([("replay", "The log replayed", _replay(diagnosis.replay))] if diagnosis.replay else []),
@@ -80,6 +81,36 @@ def _log(diagnosis: RobotDiagnosis) -> Markup:
     others = ", or ".join(reading.text() for reading in diagnosis.as_well[1:])
     note = f"Fits as well: {others}." if others else "No other reading fits as well."
     return html_table(head, rows, note)
+
+
+def _bodies(diagnosis: RobotDiagnosis) -> Markup:
+    """What all joints together say of the bodies, its sizes, and the torque of the last part."""
+    found = diagnosis.bodies
+    assert found is not None
+    parts = Markup("<p>{}</p>").format(found.sentence)
+    if found.values:
+        rows = [
+            (item.body, item.quantity, value_text(item.value, item.std, item.unit), significant(item.in_model, 3))
+            for item in found.values
+        ]
+        parts += html_table([("body", ""), ("number", ""), ("robot", ""), ("file", "")], rows)
+    if found.claimed:
+        lefts = [
+            (name, percent(share), significant(before, 3), significant(after, 3))
+            for name, share, before, after in zip(
+                diagnosis.log.joints, found.effect, found.before, found.after, strict=True
+            )
+        ]
+        head = [("joint", ""), ("change, of its torque", ""), ("left as given", "N·m"), ("left as changed", "N·m")]
+        note = "The last part of the log, below 8 Hz, with bodies and friction of the rows before."
+        parts += html_table(head, lefts, note)
+    if found.unseen:
+        note = (
+            "By the motion alone: a mass off by 30 %, a centre by 3 cm would change no torque by 3 %. "
+            "These stay at the file's values."
+        )
+        parts += html_table([("this log cannot tell", "")], [(item,) for item in found.unseen], note)
+    return parts
 
 
 def _joints(diagnosis: RobotDiagnosis) -> Markup:

@@ -10,6 +10,8 @@ import re
 from dataclasses import dataclass
 
 from nmt_robots.model.robot_xml import Element, joints_of_bodies
+from nmt_robots.report.written_bodies import body_edits, end_of_tag
+from nmt_robots.verdict.joint_verdict import OF_ALL_JOINTS
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 _MJCF = {"coulomb": "frictionloss", "viscous": "damping", "armature": "armature"}
@@ -39,9 +41,30 @@ class Change:
 
 
 def changes(diagnosis: RobotDiagnosis) -> list[Change]:
-    """All terms that differ from the model; an attribute only where the file has the joint to take it."""
+    """All that differs from the model: bodies first; an attribute only where the file has an element to take it."""
     words = _URDF if diagnosis.model.file.is_urdf else _MJCF
     places = _places(diagnosis)
+    return [
+        *_of_bodies(diagnosis),
+        *_of_joints(diagnosis, words, places),
+    ]
+
+
+def _of_bodies(diagnosis: RobotDiagnosis) -> list[Change]:
+    """Numbers of bodies that differ."""
+    if diagnosis.bodies is None:
+        return []
+    written = "inertial" if diagnosis.bodies.changes else ""
+    if diagnosis.bodies.kind == "tilt" and not diagnosis.model.file.is_urdf:
+        written = "gravity"
+    return [
+        Change(item.body, item.quantity, item.value, item.std, item.unit, item.in_model, (), written)
+        for item in diagnosis.bodies.values
+    ]
+
+
+def _of_joints(diagnosis: RobotDiagnosis, words: dict[str, str], places: dict[str, Element]) -> list[Change]:
+    """Terms of joints that differ."""
     return [
         Change(
             joint.joint.name, term.key, term.value, term.std, term.unit, term.in_model, term.equal,
@@ -49,7 +72,7 @@ def changes(diagnosis: RobotDiagnosis) -> list[Change]:
         )
         for joint in diagnosis.joints
         for term in joint.terms
-        if term.differs
+        if term.differs and term.key not in OF_ALL_JOINTS
     ]  # fmt: skip
 
 
@@ -63,9 +86,11 @@ def robot_text(diagnosis: RobotDiagnosis, changed: list[Change]) -> str:
     content = diagnosis.model.file.text.encode()
     places = _places(diagnosis)
     edits: list[tuple[int, int, bytes]] = []
-    for name in dict.fromkeys(change.joint for change in changed if change.attribute):
-        items = [change for change in changed if change.joint == name and change.attribute]
+    of_joints = [change for change in changed if change.joint in places]
+    for name in dict.fromkeys(change.joint for change in of_joints if change.attribute):
+        items = [change for change in of_joints if change.joint == name and change.attribute]
         edits.append(_edit(content, places[name], items, diagnosis.model.file.is_urdf))
+    edits += body_edits(diagnosis, content)
     for start, end, text in sorted(edits, reverse=True):
         content = content[:start] + text + content[end:]
     return content.decode()
@@ -78,25 +103,11 @@ def _edit(content: bytes, joint: Element, items: list[Change], urdf: bool) -> tu
     if dynamics is None:
         words = " ".join(_assignment(item) for item in items)
         return joint.end, joint.end, f"<dynamics {words}/> {comment}".encode()
-    end = _end_of_tag(content, dynamics.start)
+    end = end_of_tag(content, dynamics.start)
     tag = content[dynamics.start : end]
     for item in items:
         tag = _with_attribute(tag, item)
     return dynamics.start, end, tag + f" {comment}".encode()
-
-
-def _end_of_tag(content: bytes, start: int) -> int:
-    """The byte behind a tag; what is in quotes does not end it."""
-    quote = 0
-    for place in range(start, len(content)):
-        byte = content[place]
-        if quote:
-            quote = 0 if byte == quote else quote
-        elif byte in b"\"'":
-            quote = byte
-        elif byte == ord(">"):
-            return place + 1
-    return len(content)
 
 
 def _with_attribute(tag: bytes, item: Change) -> bytes:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.text.number_words import percent, value_text
+from nmt_robots.bodies.body_finding import BodyFinding
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.ladder import JointMechanics, Share
@@ -16,6 +17,9 @@ from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import Joint
 from nmt_robots.thresholds import THRESHOLDS
+
+OF_ALL_JOINTS = frozenset({"bodies", "torque_constant"})
+"""Terms that all joints together were asked for; their sizes stand with the bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,6 +60,8 @@ class Term:
         """The term in a sentence."""
         if self.impossible < 0.0:
             return f"{self.words}: {self.impossible:.3g} {self.unit} would fit, which is impossible: timing"
+        if self.key in OF_ALL_JOINTS:
+            return f"{self.words} ({percent(self.share)} of its torque)"
         model = f" (model {self.in_model:.3g})" if self.in_model else ""
         alike = [words for words in self.alike if words not in self.equal]
         also = f"; nearly the same column as {', '.join(alike)}" if alike else ""
@@ -193,6 +199,26 @@ def undisturbed(verdicts: list[JointVerdict]) -> list[JointVerdict]:
     return found
 
 
+def with_body_terms(verdicts: list[JointVerdict], bodies: BodyFinding) -> list[JointVerdict]:
+    """The answers with what differs of the bodies at each joint whose torque it takes a part of, last part included."""
+    if not bodies.claimed:
+        return verdicts
+    found = []
+    for number, verdict in enumerate(verdicts):
+        share = float(bodies.effect[number])
+        holds = bool(bodies.after[number] < bodies.before[number])
+        if verdict.mechanics is None or share < THRESHOLDS.smallest_share or not holds:
+            found.append(verdict)
+            continue
+        first = bodies.values[0] if bodies.values else None
+        size = (0.0, 0.0, 0.0, "") if first is None else (first.value, first.std, first.in_model, first.unit)
+        key = "torque_constant" if bodies.kind == "constant" else "bodies"
+        instead = tuple(words for words, _ in bodies.instead)
+        term = Term(key, bodies.words, size[3], *size[:3], share, True, instead, probability=bodies.probability)
+        found.append(replace(verdict, terms=(term, *verdict.terms)))
+    return found
+
+
 def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
     """What single joints say of their drive: its gain, its torque constant, a limit of its torque."""
     found = []
@@ -253,7 +279,7 @@ _TOLERANCES = {
 
 def joint_verdict(
     joint: Joint, motion: Motion, number: int, results: list[JointMechanics], plain: tuple[float, float],
-    timing: Mapping[str, float] | None = None,
+    put_in: Array, timing: Mapping[str, float] | None = None,
 ) -> JointVerdict:  # fmt: skip
     """The answer from the mechanics under all readings that fit.
 
@@ -263,6 +289,7 @@ def joint_verdict(
         number: column of the joint.
         results: under each reading, that taken first.
         plain: torque and what the plain fit leaves of the log as it is, N·m.
+        put_in: rows, N·m, that changed bodies take from what the model as given leaves over.
         timing: what a delay that the joints share makes of a term, by key.
     """
     best = results[0]
@@ -308,7 +335,7 @@ def joint_verdict(
     # An offset is what other terms leave of their mean: it stands behind them.
     terms.sort(key=lambda term: (not term.differs, term.key == "offset", -term.share))
     after = best.held_out
-    unchanged = _left_by_model(motion, number, best, in_model)
+    unchanged = _left_by_model(motion, number, best, in_model, put_in)
     return JointVerdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
         after.interleaved, best.plain.last, after.last, _remains(best),
@@ -351,10 +378,12 @@ def _size_in(result: JointMechanics, share: Share) -> float:
     return share.size if other is None else other.size
 
 
-def _left_by_model(motion: Motion, number: int, best: JointMechanics, in_model: dict[str, float]) -> float:
+def _left_by_model(
+    motion: Motion, number: int, best: JointMechanics, in_model: dict[str, float], put_in: Array
+) -> float:
     """Torque that the model as it is leaves over, rms about its mean, N·m."""
     rows = motion.moving[:, number]
-    total: Array = np.zeros(int(np.count_nonzero(rows)))
+    total: Array = put_in[rows]
     for share in best.shares:
         columns = motion.smooth(share.effect.columns)[rows]
         total = total + columns @ (

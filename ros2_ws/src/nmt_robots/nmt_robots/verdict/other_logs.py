@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from nmt_robots.bodies.body_finding import without_factor
 from nmt_robots.log.joint_log import Array
 from nmt_robots.log.robot_sidecar import robot_of_sidecar
 from nmt_robots.mechanics.ladder import JointProblem
+from nmt_robots.mechanics.motion import with_bodies
 from nmt_robots.mechanics.readings import DriveTorque
 from nmt_robots.verdict.joint_verdict import JointVerdict, values_in_model
 
@@ -122,8 +124,13 @@ def other_log(first: RobotDiagnosis, other: RobotDiagnosis, model: str = "") -> 
     by_name = {verdict.joint.name: verdict for verdict in other.joints}
     terms: list[ComparedTerm] = []
     left: dict[str, tuple[float, float, float]] = {}
-    drive = DriveTorque(other.log)
-    signals = drive.signals(other.reading)
+    assert other.as_given is not None
+    log, motion = other.as_given
+    sides = [(log, motion, DriveTorque(log).signals(other.reading))]
+    if first.bodies is not None and first.bodies.claimed and not model:
+        log = without_factor(log, first.bodies.factor) if log.joints == first.log.joints else log
+        motion = with_bodies(first.changed, log, motion)
+    sides.append((log, motion, DriveTorque(log).signals(other.reading)))
     for verdict in first.joints:
         name = verdict.joint.name
         match = by_name.get(name)
@@ -131,8 +138,8 @@ def other_log(first: RobotDiagnosis, other: RobotDiagnosis, model: str = "") -> 
             continue
         terms += _compared(verdict, match)
         number = other.log.joints.index(name)
-        problem = JointProblem(other.motion, number, signals.of(number), other.log.joints)
-        left[name] = _left(problem, verdict)
+        before, after = (JointProblem(motion, number, signals.of(number), log.joints) for log, motion, signals in sides)
+        left[name] = _left(before, after, verdict)
     return OtherLog(other.log.source, tuple(terms), left, other.joints, model)
 
 
@@ -151,19 +158,19 @@ def _compared(verdict: JointVerdict, match: JointVerdict) -> list[ComparedTerm]:
     return list(found.values())
 
 
-def _left(problem: JointProblem, verdict: JointVerdict) -> tuple[float, float, float]:
+def _left(before: JointProblem, after: JointProblem, verdict: JointVerdict) -> tuple[float, float, float]:
     """Torque of a joint, and what the model and another log's terms leave of it, rms about the mean, N·m."""
     assert verdict.mechanics is not None
     in_model = values_in_model(verdict.joint)
-    model, terms = problem.left.copy(), problem.left.copy()
-    for effect in problem.usual:
-        model -= problem.columns([effect])[:, 0] * in_model.get(effect.key, 0.0)
-    effects = {(effect.key, effect.shape): effect for effect in [*problem.usual, *problem.rivals]}
+    model, terms = before.left.copy(), after.left.copy()
+    for effect in before.usual:
+        model -= before.columns([effect])[:, 0] * in_model.get(effect.key, 0.0)
+    effects = {(effect.key, effect.shape): effect for effect in [*after.usual, *after.rivals]}
     for share in verdict.mechanics.shares:
         twin = effects.get((share.effect.key, share.effect.shape))
         if twin is not None:
-            terms -= problem.columns([twin]) @ share.values
-    return _spread(problem.torque), _spread(model), _spread(terms)
+            terms -= after.columns([twin]) @ share.values
+    return _spread(before.torque), _spread(model), _spread(terms)
 
 
 def _spread(values: Array) -> float:

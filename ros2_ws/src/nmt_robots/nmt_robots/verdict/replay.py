@@ -24,7 +24,7 @@ from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.model.robot_simulation import RobotSimulation
 from nmt_robots.thresholds import THRESHOLDS
-from nmt_robots.verdict.joint_verdict import JointVerdict
+from nmt_robots.verdict.joint_verdict import OF_ALL_JOINTS, JointVerdict
 
 _STEP_S = 5e-4
 _WINDOW_S = 0.25
@@ -129,7 +129,8 @@ def changed_joint(verdict: JointVerdict, faults: Sequence[Finding]) -> ChangedJo
         return joint
     claimed = {term.key for term in verdict.terms if term.differs}
     claimed |= {item.key for item in faults if item.fault and verdict.joint.name in item.joints}
-    further, words, place = [], [], 0
+    further, place = [], 0
+    words = [term.words for term in verdict.terms if term.differs and term.key in OF_ALL_JOINTS]
     for share in verdict.mechanics.shares:
         effect = share.effect
         values = verdict.mechanics.held_out.early[place : place + effect.parameters]
@@ -158,13 +159,15 @@ def changed_joint(verdict: JointVerdict, faults: Sequence[Finding]) -> ChangedJo
 
 
 def replayed(
-    robot: RobotModel, log: JointLog, motion: Motion, readings: Sequence[Reading], verdicts: Sequence[JointVerdict],
-    faults: Sequence[Finding],
+    original: tuple[RobotModel, JointLog], found: tuple[RobotModel, JointLog], motion: Motion,
+    readings: Sequence[Reading], verdicts: Sequence[JointVerdict], faults: Sequence[Finding],
 ) -> Replay | None:  # fmt: skip
     """The last part of a log through the model as given and as changed; None where it has too few rows.
 
     Args:
-        robot, log, motion: of the diagnosis.
+        original: robot and log as they are.
+        found: the same with bodies and constants of drives that were found.
+        motion: of the diagnosis.
         readings: of the log that fit as well.
         verdicts: of the joints.
         faults: findings on the log.
@@ -172,14 +175,16 @@ def replayed(
     first = first_of_last_part(motion)
     if len(motion.q) - first < 50:
         return None
-    original = [ChangedJoint.of(verdict.joint) for verdict in verdicts]
+    unchanged = [ChangedJoint.of(verdict.joint) for verdict in verdicts]
     changed = [changed_joint(verdict, faults) for verdict in verdicts]
     # Readings that the torque hardly tells apart may have a command early, which no drive has.
     reading = min(readings, key=lambda item: abs(item.command_lag_s) + abs(item.torque_lag_s))
+    robot, log = original
     driven = driven_by(log, reading)
-    by_model = Simulated(robot, log, motion, driven, original).positions(first)
-    different = any(item.words for item in changed)
-    by_changed = Simulated(robot, log, motion, driven, changed).positions(first) if different else by_model
+    by_model = Simulated(robot, log, motion, driven, unchanged).positions(first)
+    by_changed = by_model
+    if found != original or any(item.words for item in changed):
+        by_changed = Simulated(*found, motion, driven_by(found[1], reading), changed).positions(first)
     rows = slice(first, None)
     joints = tuple(
         JointReplay(name, log.position[rows, number], by_model[:, number], by_changed[:, number])

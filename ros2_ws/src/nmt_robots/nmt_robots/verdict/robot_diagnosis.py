@@ -12,6 +12,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.text.number_words import percent
 from nmt_diagnose.units.unit_group import UnitGroup
+from nmt_robots.bodies.body_finding import BodyFinding, body_finding, without_factor
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.log.robot_sidecar import read_robot_sidecar, sidecar_of_text
@@ -31,7 +32,7 @@ from nmt_robots.log_faults.repair import (
 from nmt_robots.log_faults.rows import row_findings
 from nmt_robots.log_faults.velocity import velocity_findings, with_right_speeds
 from nmt_robots.mechanics.ladder import JointMechanics, JointProblem, explain
-from nmt_robots.mechanics.motion import Motion, motion_of, with_link_masses, with_yielding_base
+from nmt_robots.mechanics.motion import Motion, motion_of, with_bodies, with_link_masses, with_yielding_base
 from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading, held_time
 from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
 from nmt_robots.model.robot_model import Joint, RobotModel
@@ -46,6 +47,7 @@ from nmt_robots.verdict.joint_verdict import (
     undisturbed,
     unjudged,
     values_in_model,
+    with_body_terms,
     without_claims,
 )
 from nmt_robots.verdict.next_motion import NextMotion, next_motion
@@ -75,6 +77,8 @@ class RobotDiagnosis:
         replay: the log through the model as given and as changed; None where it was not asked for.
         group: joints that are meant to be alike; None where nobody said which are.
         of_file: facts of the model's file, known before the fit.
+        bodies: what all joints together say of the bodies; None where that was not asked.
+        as_given: log and motion before what differs of the bodies was put in.
     """
 
     model: RobotModel
@@ -89,6 +93,8 @@ class RobotDiagnosis:
     replay: Replay | None = None
     group: UnitGroup | None = None
     of_file: tuple[Finding, ...] = ()
+    bodies: BodyFinding | None = None
+    as_given: tuple[JointLog, Motion] | None = None
 
     def left_over(self, which: str) -> float:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
@@ -100,8 +106,13 @@ class RobotDiagnosis:
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
 
     @property
+    def changed(self) -> RobotModel:
+        """The robot with the bodies that were found."""
+        return self.model if self.bodies is None else self.bodies.robot
+
+    @property
     def verdict(self) -> str:
-        """One sentence."""
+        """One sentence, or two where the bodies differ."""
         judged = [joint for joint in self.joints if joint.mechanics is not None]
         if not judged:
             return "No joint moves enough to be judged."
@@ -113,10 +124,12 @@ class RobotDiagnosis:
         differing = sum(joint.differs for joint in judged)
         open_joints = sum(not joint.differs and not joint.is_as_in_the_model for joint in judged)
         unknown = f"; {open_joints} without a known cause" if open_joints else ""
+        bodies = self.bodies.words if self.bodies is not None else ""
+        bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
         return (
-            f"{log}. Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. Of the "
-            f"torque that the plain fit leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit has "
-            f"seen ({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
+            f"{bodies}{log}. Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}."
+            f" Of the torque that the plain fit leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit "
+            f"has seen ({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
         )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -130,6 +143,7 @@ class RobotDiagnosis:
             "step_s": self.log.step_s,
             "file_findings": [finding.to_mapping() for finding in self.of_file],
             "log_findings": [finding.to_mapping() for finding in self.findings],
+            "bodies": None if self.bodies is None else self.bodies.to_mapping(),
             "reading": self.reading.text(),
             "readings_that_fit_as_well": [reading.text() for reading in self.as_well],
             "torque_rms": {name: self.left_over(name) for name in ("torque", "as_logged", "plain", "left")},
@@ -177,27 +191,40 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     derived = any(finding.fault and finding.key.startswith("velocity") for finding in found)
     scores = compare_readings(motion, drive, derived)
     plain = _plain_left(motion, plain_torque)
+    progress("bodies")
+    as_given = log, motion
+    bodies = None if no_claims_because(found) else body_finding(robot, log, drive.signals(scores.best), joints)
+    changed = robot
+    if bodies is not None and bodies.claimed:
+        changed, log = bodies.robot, without_factor(log, bodies.factor)
+        drive, motion = DriveTorque(log), with_bodies(changed, log, motion)
+        scores = compare_readings(motion, drive, derived)
     if robot.floating:
-        motion, scores, finding = with_base(robot, log, motion, drive, scores, derived)
+        motion, scores, finding = with_base(changed, log, motion, drive, scores, derived)
         found += finding
-    motion = with_link_masses(robot, log, motion)
+    motion = with_link_masses(changed, log, motion)
     believed = [values_in_model(joint) for joint in joints]
     progress("joints")
     as_well, results = _understood(motion, drive, scores, believed, log.joints)
     if as_well[0] == scores.best:
         found += reading_findings(scores, held_time(log))
     verdicts = []
+    put_in = _put_in(as_given, log, motion, as_well[0])
     delayed = by_shared_delay(log, believed, {number: items[0] for number, items in results.items()})
     for number, joint in enumerate(joints):
         if number in results:
             timing = delayed.get(number, {})
-            verdicts.append(joint_verdict(joint, motion, number, results[number], plain[number], timing))
+            verdicts.append(
+                joint_verdict(joint, motion, number, results[number], plain[number], put_in[:, number], timing)
+            )
         else:
             verdicts.append(unjudged(joint, float(np.std(plain_torque[:, number]))))
-    loose = joint_with_transmission(robot, log, motion, drive, as_well, results, joints, found)
+    loose = joint_with_transmission(changed, log, motion, drive, as_well, results, joints, found)
     if loose is not None:
         verdicts[loose.number] = verdict_with_transmission(joints[loose.number], loose, verdicts[loose.number])
     verdicts = undisturbed(verdicts)
+    if bodies is not None:
+        verdicts = with_body_terms(verdicts, bodies)
     found += scale_findings(tuple(verdicts))
     reason = no_claims_because(found)
     if reason:
@@ -207,7 +234,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     following = next_motion(motion, joints, verdicts, as_well, classes)
     return RobotDiagnosis(
         robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts), following,
-        of_file=tuple(file_findings(robot, log.joints)),
+        of_file=tuple(file_findings(robot, log.joints)), bodies=bodies, as_given=as_given,
     )  # fmt: skip
 
 
@@ -229,7 +256,11 @@ def diagnose_robot_by_logs(
         read_joint_table(alike, [joint.name for joint in RobotModel(model).joints])
     first = diagnose_robot(model, real[0], progress)
     progress("replaying the log")
-    replay = replayed(first.model, first.log, first.motion, first.as_well, first.joints, first.findings)
+    assert first.as_given is not None
+    replay = replayed(
+        (first.model, first.as_given[0]), (first.changed, first.log), first.motion, first.as_well, first.joints,
+        first.findings,
+    )  # fmt: skip
     others = []
     for path in real[1:]:
         progress(f"testing on {path.name}")
@@ -317,17 +348,20 @@ def mended(robot: RobotModel, log: JointLog, joints: tuple[Joint, ...]) -> tuple
         rows = [*(item for item in rows if item.key != "hidden_jitter"), Finding("rows_missing", sentence, missing, 0.0,
                 "rows")]  # fmt: skip
         changed = on_even_clock(changed, time)
-    elif keys & {"uneven_clock", "rows_missing"} and stamps_agree(changed):
-        changed = on_even_clock(changed, changed.time)
-    elif any(finding.key == "hidden_jitter" for finding in rows):
-        changed = on_even_clock(changed, time_by_motion(changed))
-    if changed is not log:
-        counted, plain = motion_of(robot, changed), motion_of(robot, log)
-        # What was mended has to serve the mechanics of all joints, too.
-        if _least_left(changed, counted) > _least_left(log, plain):
-            as_it_is = (item for item in row_findings(log, plain) if item.key != "hidden_jitter")
-            return log, plain, [*found, *in_degrees, *as_it_is]
-        motion = counted
+    # The stamps and the motion may each say when rows were measured: that clock is right which serves all joints.
+    clocks = [changed]
+    if keys & {"uneven_clock", "rows_missing"} and stamps_agree(changed):
+        clocks.append(on_even_clock(changed, changed.time))
+    if any(finding.key == "hidden_jitter" for finding in rows):
+        clocks.append(on_even_clock(changed, time_by_motion(changed)))
+    if clocks[-1] is not log:
+        counted = [(item, motion if item is log else motion_of(robot, item)) for item in clocks]
+        if log not in clocks:
+            counted.append((log, motion_of(robot, log)))
+        changed, motion = min(counted, key=lambda item: _least_left(*item))
+        if changed is log:
+            as_it_is = (item for item in row_findings(log, motion) if item.key != "hidden_jitter")
+            return log, motion, [*found, *in_degrees, *as_it_is]
     return changed, motion, [*found, *in_degrees, *rows]
 
 
@@ -424,6 +458,12 @@ def _understood(
             problem = JointProblem(motion, number, signals.of(number), names)
             results[number].append(explain(problem, believed[number], first[number]))
     return readings, results
+
+
+def _put_in(original: tuple[JointLog, Motion], log: JointLog, motion: Motion, reading: Reading) -> Array:
+    """N × J: torque that bodies and constants which were put in take from what the model as given leaves over, N·m."""
+    before, after = (DriveTorque(item).torque(reading) for item in (original[0], log))
+    return np.asarray(motion.smooth_twice(before - after) + motion.rigid - original[1].rigid)
 
 
 def _plain_left(motion: Motion, torque: Array) -> list[tuple[float, float]]:

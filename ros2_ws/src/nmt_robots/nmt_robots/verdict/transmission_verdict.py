@@ -99,7 +99,7 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
         kind = "backlash" if item.gap else "a transmission that gives way"
         return replace(plain, remains=f"{plain.remains}; {kind} may be there, but is not told beside the log's fault")
     figures = (plain.torque, plain.as_logged)
-    verdict = joint_verdict(joint, item.motion, found.number, [found.mechanics], figures)
+    verdict = joint_verdict(joint, item.motion, found.number, [found.mechanics], figures, np.zeros(len(item.motion.q)))
     alike = item.other < 1.5 * item.left
     if item.gap:
         other = ("elastic transmission",) if alike else ()

@@ -1,0 +1,441 @@
+"""What the bodies of a robot's file have wrong: in words, with its size, and as a changed model.
+
+A body is named where one explanation holds nine tenths of the probability and its values of the first part of the log
+leave less of the torque of the last part. Of a link that differs, each number is stated where the log tells it better
+than its prior; the others stay at the file's values. What the file hangs on a link and weighs what the link lacks is
+not mounted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from nmt_core.text.number_words import percent, value_text
+from nmt_robots.bodies.body_choice import BOTH, EVERY, BodyEvidence, Choice, Explanation, Weighed
+from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, across, body_rows, free_spread, whitened
+from nmt_robots.bodies.body_shape import moved_body
+from nmt_robots.bodies.robot_parts import Part, last_links, parts_of
+from nmt_robots.log.joint_log import Array, JointLog
+from nmt_robots.mechanics.readings import DriveSignals
+from nmt_robots.model.links import parameters_of, split_parameters
+from nmt_robots.model.robot_model import BodyChange, Joint, RobotModel
+
+_EARLY = 0.7
+_TOLD = 0.7
+"""Share of a prior's variance that the log has to take for a number to be stated."""
+_RISES = 3.0
+"""ln evidence by which a further link has to be better."""
+_SAME = 3.0
+"""Standard uncertainties within which the mass of a part is that which its link lacks."""
+_MISFIT = 4.0
+_IMPLAUSIBLE = 3.5
+_FEWEST_ROWS = 80
+_OF_ONE_JOINT = {"spring": "spring at", "gain": "position gain of"}
+"""Explanations that no body is: the joint is asked for them."""
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True)
+class BodyValue:
+    """One number that differs.
+
+    Attributes:
+        body: the link's or joint's name.
+        quantity: what it is.
+        value, std: of the robot.
+        in_model: of the file.
+        unit: of all three.
+    """
+
+    body: str
+    quantity: str
+    value: float
+    std: float
+    in_model: float
+    unit: str
+
+    def text(self) -> str:
+        """In a sentence."""
+        return f"{self.quantity} {value_text(self.value, self.std, self.unit)} (file {self.in_model:.3g})"
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As ``diagnosis.json`` has it."""
+        return {
+            "body": self.body, "quantity": self.quantity, "value": self.value, "std": self.std,
+            "in_model": self.in_model, "unit": self.unit,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class BodyFinding:
+    """What all joints together say of the bodies.
+
+    Attributes:
+        kind: none, part, link, pair, payload, tilt, constant, all or several; joint where something else at one joint
+            explains more, unknown where nothing is sure.
+        words: what it is, in a few words; empty of none and unknown.
+        sentence: for people.
+        probability: posterior, of the subject that is named.
+        instead: words of others that cannot be told apart, with their probabilities.
+        values: that differ.
+        effect: J, rms of what it changes over each joint's torque.
+        before, after: J, torque left on the last part by values of the rows before, as given and as changed; N·m.
+        robot: the changed model; the same object where nothing is claimed.
+        factor: J, of each joint's logged torque against the real one.
+        unseen: what this log cannot tell, by name.
+        misfit: largest pull of a tolerance where nothing differs, in standard deviations.
+        subjects: kind and places of all that holds 95 % of the probability.
+        changes, gravity: of the bodies, and gravity in the base's frame; None where that stands as in the file.
+    """
+
+    kind: str
+    words: str
+    sentence: str
+    probability: float
+    robot: RobotModel
+    factor: Array
+    effect: Array
+    before: Array
+    after: Array
+    values: tuple[BodyValue, ...] = ()
+    instead: tuple[tuple[str, float], ...] = ()
+    unseen: tuple[str, ...] = ()
+    misfit: float = 0.0
+    subjects: tuple[str, ...] = ()
+    changes: tuple[BodyChange, ...] = field(default=())
+    gravity: Array | None = None
+
+    @property
+    def claimed(self) -> bool:
+        """Whether bodies differ by a named cause."""
+        return bool(self.words)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As ``diagnosis.json`` has it."""
+        return {
+            "kind": self.kind, "words": self.words, "sentence": self.sentence, "probability": self.probability,
+            "values": [value.to_mapping() for value in self.values],
+            "cannot_be_told_apart": [{"words": words, "probability": share} for words, share in self.instead],
+            "share_of_torque": self.effect.tolist(), "last_part_as_given": self.before.tolist(),
+            "last_part": self.after.tolist(), "cannot_tell": list(self.unseen), "largest_pull": self.misfit,
+        }  # fmt: skip
+
+
+def body_finding(robot: RobotModel, log: JointLog, drive: DriveSignals, joints: Sequence[Joint]) -> BodyFinding | None:
+    """What bodies differ from the file; None where the log is too short to ask, or has one joint, which shares nothing.
+
+    Args:
+        robot: as the file has it.
+        log: on an even clock.
+        drive: of all joints as the log is read.
+        joints: of the columns.
+    """
+    if log.rows * log.step_s < _FEWEST_ROWS * 0.05 + 1.0 or len(joints) < 2:
+        return None
+    in_file = [(joint.coulomb, joint.damping, joint.armature) for joint in joints]
+    gained = np.zeros_like(log.position)
+    if drive.error is not None and log.position_gain is not None:
+        gained = drive.error * log.position_gain
+    rows = body_rows(robot, log.joints, log.position, drive.torque, gained, log.step_s, in_file)
+    parts = parts_of(robot, rows.links)
+    white = whitened(rows, free_spread(rows))
+    evidence = BodyEvidence(
+        rows, white, last_links(robot, rows.links), [(part.parameters, part.link) for part in parts]
+    )
+    asked = _Asked(robot, log.joints, rows, evidence, parts)
+    return asked.finding(evidence.choose())
+
+
+class _Asked:
+    """Bodies of one log, and words for them."""
+
+    def __init__(
+        self, robot: RobotModel, joints: tuple[str, ...], rows: BodyRows, evidence: BodyEvidence, parts: list[Part]
+    ) -> None:
+        self._robot, self._joints, self._rows, self._evidence, self._parts = robot, joints, rows, evidence, parts
+
+    def finding(self, choice: Choice) -> BodyFinding:
+        """The answer by all explanations."""
+        rows, width = self._rows, len(self._joints)
+        nothing = next(item for item in choice.weighed if item.explanation.kind == "none")
+        still = np.zeros(rows.columns.shape[2])
+        before = self._last_part(still)
+        best, probability = choice.named[0]
+        unseen = tuple(self._unseen())
+        instead = tuple((self._words(item.explanation), share) for item, share in choice.named[1:])
+        base = BodyFinding(
+            "none", "", "", probability, self._robot, np.ones(width), np.zeros(width), before, before, (), instead,
+            unseen, nothing.pulled, tuple(self._subject(item.explanation) for item, _ in choice.named),
+        )  # fmt: skip
+        if len(choice.named) > 1:
+            listed = ", ".join(f"{self._words(item.explanation)} ({percent(share)})" for item, share in choice.named)
+            return replace(base, kind="unknown", sentence=f"This log cannot tell apart: {listed}.",
+                           instead=((self._words(best.explanation), probability), *instead))  # fmt: skip
+        if best.explanation.kind == "none":
+            words = "The bodies are as in the file, within its tolerances."
+            if nothing.pulled > _MISFIT:
+                words += (
+                    f" Yet a tolerance is pulled by {nothing.pulled:.1f} standard deviations: something acts that none "
+                    "of the explanations has."
+                )
+            return replace(base, sentence=words)
+        if best.explanation.kind in _OF_ONE_JOINT:
+            words = f"{_capital(self._words(best.explanation))} explains the torque better than any body."
+            return replace(base, kind="joint", sentence=words)
+        if best.reached > _IMPLAUSIBLE:
+            words = (
+                f"{self._words(best.explanation)} fits best, but would be off by {best.reached:.1f} prior standard "
+                "deviations, which no file is: nothing is claimed."
+            )
+            return replace(base, kind="unknown", sentence=_capital(words))
+        return self._claimed(base, self._structured(best))
+
+    def _structured(self, best: Weighed) -> Weighed:
+        """The explanation with parts in the place of links that lack their mass, and with links added that it needs."""
+        evidence, explanation = self._evidence, best.explanation
+        for link in explanation.links:
+            numbers, std, _ = best.of_link(link)
+            mass = evidence.shapes[link].mass
+            lacking, loose = mass * (1.0 - np.exp(numbers[0])), mass * np.exp(numbers[0]) * std[0]
+            for place, part in enumerate(self._parts):
+                if part.link != link or abs(part.mass - lacking) > _SAME * loose or lacking < 2.0 * loose:
+                    continue
+                others = tuple(item for item in explanation.wide if item[0] != link)
+                trial = evidence.weigh(Explanation("part", others, off=place))
+                alone = evidence.weigh(Explanation("link", ((link, BOTH),)))
+                if others or trial.evidence > alone.evidence - _RISES * 5.0:
+                    return trial
+        if explanation.kind != "all":
+            return best
+        found = evidence.weigh(Explanation("none"))
+        while True:
+            more = [
+                evidence.weigh(Explanation("several", tuple(sorted((*found.explanation.wide, (link, EVERY))))))
+                for link in explanation.links
+                if link not in found.explanation.links
+            ]
+            further = max(more, key=lambda item: item.evidence, default=None)
+            if further is None or further.evidence < found.evidence + _RISES:
+                return found if found.explanation.wide else best
+            found = further
+
+    def _claimed(self, base: BodyFinding, best: Weighed) -> BodyFinding:
+        """The claim with the numbers that the log tells, tested on the last part of the log."""
+        evidence = self._evidence
+        wide = tuple(
+            (link, measured)
+            for link, numbers in best.explanation.wide
+            if (measured := self._measured(best, link, numbers))
+        )
+        explanation = replace(best.explanation, wide=wide)
+        kind = "part" if explanation.off >= 0 else explanation.kind
+        fitted = evidence.weigh(explanation)
+        is_large = float(np.max(evidence.effect(fitted.wide))) >= UNSEEN
+        early = np.arange(len(self._rows.time)) < _EARLY * len(self._rows.time)
+        first = evidence.weigh(explanation, whitened(self._rows, free_spread(self._rows), early))
+        after = self._last_part(first.wide)
+        closes = float(np.sum(np.log(after / base.before)))
+        if not is_large or closes >= 0.0:
+            return replace(
+                base, kind="unknown",
+                sentence=f"{_capital(self._words(best.explanation))} fits best, but its values of the first part of "
+                "the log leave no less of the last part: nothing is claimed.",
+            )  # fmt: skip
+        values = tuple(self._values(fitted))
+        words = self._words(explanation)
+        sized = "; ".join(f"{value.body}: {value.text()}" for value in values if explanation.off < 0 or value.std > 0.0)
+        factor = np.ones(len(self._joints))
+        factor += np.where(fitted.spread[self._rows.drives] > 0.05, fitted.numbers[self._rows.drives], 0.0)
+        changes, gravity = self._changes(fitted), self._gravity(fitted)
+        sentence = (
+            f"{_capital(words)}{': ' if sized else ''}{sized}. All joints were asked together; posterior "
+            f"probability {base.probability:.3g}. On the last part of the log, by values from before, the torque left "
+            f"falls at {int(np.sum(after < base.before))} of {len(after)} joints."
+        )
+        return replace(
+            base, kind=kind, words=words, subjects=(self._subject(fitted.explanation),), sentence=sentence,
+            values=values, effect=evidence.effect(fitted.wide), after=after, factor=factor, changes=changes,
+            robot=self._robot.with_bodies(changes, gravity), gravity=gravity,
+        )  # fmt: skip
+
+    def _measured(self, best: Weighed, link: int, numbers: tuple[int, ...]) -> tuple[int, ...]:
+        _, std, spread = best.of_link(link)
+        return tuple(
+            number for number in numbers if spread[number] > 0.0 and 1.0 - (std[number] / spread[number]) ** 2 > _TOLD
+        )
+
+    def _last_part(self, change: Array) -> Array:
+        """J: torque on the last part that a change and friction fitted before it leave, rms, N·m."""
+        rows = self._rows
+        left = rows.left - rows.columns @ change
+        early = np.arange(len(left)) < _EARLY * len(left)
+        found = np.empty(left.shape[1])
+        for joint in range(left.shape[1]):
+            columns = rows.nuisances[:, joint, :, joint]
+            weight = 1.0 / (0.01 * rows.size[joint]) ** 2
+            gram = weight * columns[early].T @ columns[early] + np.eye(columns.shape[1])
+            values = np.linalg.solve(gram, weight * columns[early].T @ left[early, joint])
+            found[joint] = float(np.sqrt(np.mean((left[~early, joint] - columns[~early] @ values) ** 2)))
+        return np.maximum(found, 1e-12)
+
+    def _link_name(self, link: int) -> str:
+        return self._robot.body_name(self._rows.links[link].root)
+
+    def _subject(self, explanation: Explanation) -> str:
+        """Kind and places in one line."""
+        names = [self._link_name(link) for link in explanation.links]
+        if explanation.off >= 0:
+            names.insert(0, self._robot.body_name(self._parts[explanation.off].bodies[0]))
+        if explanation.end >= 0:
+            names.append(self._link_name(explanation.end))
+        if explanation.joint >= 0:
+            names.append(self._joints[explanation.joint])
+        return " ".join([explanation.kind, *(names if explanation.kind != "all" else [])])
+
+    def _words(self, explanation: Explanation) -> str:
+        """A few words for an explanation."""
+        names = [self._link_name(link) for link in explanation.links]
+        if explanation.off >= 0:
+            part = self._parts[explanation.off]
+            further = f", and the body of {_listed(names)} differs" if names else ""
+            return f"{part.words} of the file ({part.mass:.3g} kg) is not mounted{further}"
+        if explanation.end >= 0:
+            return f"payload on {self._link_name(explanation.end)} that is not in the file"
+        if explanation.joint >= 0:
+            what = _OF_ONE_JOINT.get(explanation.kind, "torque constant of")
+            return f"{what} {self._joints[explanation.joint]}"
+        if explanation.kind == "tilt":
+            return "base that leans"
+        if explanation.kind == "all":
+            return "bodies of all links"
+        if explanation.kind == "none":
+            return "bodies as in the file"
+        return f"body of {names[0]}" if len(names) == 1 else f"bodies of {_listed(names)}"
+
+    def _values(self, item: Weighed) -> list[BodyValue]:
+        """Numbers that differ, in a person's units."""
+        found: list[BodyValue] = []
+        rows, explanation = self._rows, item.explanation
+        for link, numbers in explanation.wide:
+            name, shape = self._link_name(link), self._evidence.shapes[link]
+            values, std, _ = item.of_link(link)
+            for number in numbers:
+                if number == 0:
+                    mass = shape.mass * float(np.exp(values[0]))
+                    found.append(BodyValue(name, "mass", mass, mass * float(std[0]), shape.mass, "kg"))
+                elif number < 4:
+                    place = float(shape.centre[number - 1])
+                    found.append(BodyValue(name, f"centre of mass along {_AXES[number - 1]}",
+                                           place + float(values[number]), float(std[number]), place, "m"))  # fmt: skip
+        if explanation.off >= 0:
+            part = self._parts[explanation.off]
+            found.insert(0, BodyValue(part.words, "mass", 0.0, 0.0, part.mass, "kg"))
+        if explanation.end >= 0:
+            mass, loose = float(np.exp(item.numbers[-4])), float(item.std[-4])
+            found.append(BodyValue(self._link_name(explanation.end), "payload", mass, mass * loose, 0.0, "kg"))
+        if explanation.joint >= 0:
+            place = rows.drives.start + explanation.joint
+            value, loose = float(item.numbers[place]), float(item.std[place])
+            found.append(BodyValue(self._joints[explanation.joint], "torque constant", 1.0 / (1.0 + value),
+                                   loose, 1.0, "of what the log assumes"))  # fmt: skip
+        if explanation.kind == "tilt":
+            lean = np.degrees(item.numbers[rows.tilt])
+            size = float(np.linalg.norm(lean))
+            spread = np.linalg.norm(lean * np.degrees(item.std[rows.tilt])) / max(size, 1e-12)
+            found.append(BodyValue("base", "lean", size, float(spread), 0.0, "°"))
+        return found
+
+    def _changes(self, item: Weighed) -> tuple[BodyChange, ...]:
+        """Mass, centre and inertia of each body that differs."""
+        model, data = self._robot.at_rest()
+        found: dict[int, BodyChange] = {}
+        explanation = item.explanation
+        for link, numbers in explanation.wide:
+            values = np.zeros(len(EVERY))
+            values[list(numbers)] = item.of_link(link)[0][list(numbers)]
+            about = self._evidence.shapes[link].centre
+            root = self._rows.links[link].root
+            for body in self._rows.links[link].bodies:
+                if model.body_mass[body] > 0.0:
+                    placed = body_in(model, data, root, body)
+                    found[body] = body_change(model, data, root, body, moved_body(placed, about, values))
+        if explanation.off >= 0:
+            for body in self._parts[explanation.off].bodies:
+                found[body] = BodyChange(body, 0.0, np.zeros(3), np.zeros((3, 3)))
+        if explanation.end >= 0:
+            root = self._rows.links[explanation.end].root
+            load = self._evidence.payload(explanation.end, item.numbers)
+            together = split_parameters(parameters_of(*body_in(model, data, root, root)) + load)
+            found[root] = body_change(model, data, root, root, together)
+        return tuple(found.values())
+
+    def _gravity(self, item: Weighed) -> Array | None:
+        """Gravity in the base's frame, m/s²; None where the base stands as in the file."""
+        if item.explanation.kind != "tilt":
+            return None
+        gravity = self._rows.gravity
+        lean = item.numbers[self._rows.tilt] @ across(gravity)
+        changed = gravity + np.cross(lean, gravity)
+        return np.asarray(changed * np.linalg.norm(gravity) / np.linalg.norm(changed))
+
+    def _unseen(self) -> list[str]:
+        """What this motion cannot tell, before any torque is looked at: a mass off by 30 %, a centre by 3 cm."""
+        found = []
+        evidence = self._evidence
+        for link in range(evidence.count):
+            shape, name = evidence.shapes[link], self._link_name(link)
+            if shape.mass <= 0.0:
+                continue
+            dumb = []
+            for number, size in ((0, np.log(1.3)), (1, 0.03), (2, 0.03), (3, 0.03)):
+                numbers = np.zeros(self._rows.columns.shape[2])
+                numbers[10 * link + number] = size
+                change = evidence.change(Explanation("none"), numbers)
+                if float(np.max(evidence.effect(change))) < UNSEEN:
+                    dumb.append("mass" if number == 0 else f"centre along {_AXES[number - 1]}")
+            if dumb:
+                found.append(f"{name}: {', '.join(dumb)}")
+        return found
+
+
+def _capital(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    """Up to three names; of more links the first and how many there are."""
+    if len(names) > 3:
+        return f"{names[0]} and {len(names) - 1} more links"
+    return " and ".join(names)
+
+
+def body_in(model: Any, data: Any, root: int, body: int) -> tuple[float, Array, Array]:
+    """Mass, centre and inertia about it of a body, in the frame of another that moves with it."""
+    turn = data.xmat[root].reshape(3, 3)
+    axes = turn.T @ data.ximat[body].reshape(3, 3)
+    inertia = axes @ np.diag(model.body_inertia[body]) @ axes.T
+    return float(model.body_mass[body]), turn.T @ (data.xipos[body] - data.xpos[root]), inertia
+
+
+def body_change(model: Any, data: Any, root: int, body: int, values: tuple[float, Array, Array]) -> BodyChange:
+    """Mass, centre and inertia in the frame of ``root`` as a change of a body, in its frame."""
+    mass, centre, inertia = values
+    between = data.xmat[body].reshape(3, 3).T @ data.xmat[root].reshape(3, 3)
+    shift = data.xmat[body].reshape(3, 3).T @ (data.xpos[root] - data.xpos[body])
+    return BodyChange(body, mass, between @ centre + shift, between @ inertia @ between.T)
+
+
+def without_factor(log: JointLog, factor: Array) -> JointLog:
+    """The log with the torque that the drives made where their constants are not those it assumes."""
+    if np.all(factor == 1.0):
+        return log
+    scaled = {
+        name: values / factor
+        for name in ("torque", "torque_command", "position_gain", "velocity_gain")
+        if (values := getattr(log, name)) is not None
+    }
+    return replace(log, **scaled)

@@ -1,0 +1,157 @@
+"""Bodies that are not as in the file are named before any joint, by torques of Lagrange's equations."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from independent.body_cases import GRAVITY, Case, chain, make_case, tally, torque_of, urdf_of
+
+pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
+
+from nmt_robots.bodies.body_finding import BodyFinding, body_finding
+from nmt_robots.bodies.body_shape import SHAPE, BodyShape, moved_body
+from nmt_robots.log.joint_log import JointLog
+from nmt_robots.mechanics.readings import DriveSignals
+from nmt_robots.model.links import LinkMotion, parameters_of, split_parameters
+from nmt_robots.model.robot_model import RobotModel
+from nmt_robots.report.robot_files import write_robot_diagnosis
+from nmt_robots.verdict.robot_diagnosis import diagnose_robot
+
+
+def finding_of(case: Case, path: Path) -> BodyFinding:
+    """What the bodies of a case are found to be."""
+    path.write_text(case.urdf)
+    model = RobotModel(path)
+    names = tuple(str(name) for name in case.columns["names"])
+    torque = case.columns["torque"]
+    log = JointLog("sealed", names, case.columns["time"], case.columns["position"], torque=torque)
+    found = body_finding(model, log, DriveSignals(torque), model.chosen(names))
+    assert found is not None
+    return found
+
+
+def test_columns_of_links_make_the_torque_of_lagrange(tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    bodies = chain("arm7", rng)
+    path = tmp_path / "arm.urdf"
+    path.write_text(urdf_of(bodies, np.zeros(7), np.zeros(7)))
+    q, v, a = rng.standard_normal((3, 20, 7))
+    moment = 1e-4
+    before, after = q - moment * v + 0.5 * moment**2 * a, q + moment * v + 0.5 * moment**2 * a
+    expected = torque_of(bodies, q, before, after, moment, GRAVITY)
+    model = RobotModel(path)
+    motion = LinkMotion(model, model.names, q, v, a)
+    torque = np.zeros_like(q)
+    for (joint, link), columns in motion.columns(GRAVITY).items():
+        torque[:, joint] += columns @ motion.links[link].parameters
+    assert torque == pytest.approx(expected, abs=1e-5 * np.max(np.abs(expected)))
+    assert torque == pytest.approx(model.torque(model.names, q, v, a), abs=1e-9)
+
+
+def test_a_changed_link_is_always_a_possible_body() -> None:
+    rng = np.random.default_rng(5)
+    centre, moments = np.array([0.02, -0.01, 0.2]), np.diag([0.03, 0.025, 0.01])
+    shape = BodyShape(parameters_of(2.0, centre, moments), 0.4)
+    for numbers in 0.3 * rng.standard_normal((20, SHAPE)):
+        step = 1e-6 * np.eye(SHAPE)
+        slopes = np.column_stack([(shape.change(numbers + h) - shape.change(numbers - h)) / 2e-6 for h in step])
+        assert shape.slopes(numbers) == pytest.approx(slopes, abs=1e-7)
+        changed = parameters_of(2.0, centre, moments) + shape.change(numbers)
+        mass, _, inertia = split_parameters(changed)
+        low, middle, high = np.linalg.eigvalsh(inertia)
+        assert mass > 0.0
+        assert low + middle > high
+        # All bodies of a link move with its points, so that together they are the changed link.
+        parts = [moved_body((1.2, centre + 0.1, 0.3 * moments), centre, numbers)]
+        parts.append(moved_body((0.8, centre - 0.15, moments), centre, numbers))
+        together = sum(parameters_of(*part) for part in parts)
+        whole = parameters_of(1.2, centre + 0.1, 0.3 * moments) + parameters_of(0.8, centre - 0.15, moments)
+        assert together == pytest.approx(whole + BodyShape(whole, 0.4).change(numbers), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "subject"),
+    [
+        ("none", "none"),
+        ("part", "part foot"),
+        ("mass", "link link3"),
+        ("tilt", "tilt"),
+        ("constant", "constant joint3"),
+    ],
+)
+def test_a_body_is_named_by_all_joints_together(tmp_path: Path, kind: str, subject: str) -> None:
+    case = make_case("leg", kind, 0)
+    found = finding_of(case, tmp_path / "leg.urdf")
+    assert found.subjects == (subject,)
+    assert found.probability > 0.85
+    if kind == "tilt":
+        (lean,) = found.values
+        assert lean.value == pytest.approx(3.0, abs=3.0 * lean.std + 0.1)
+    if kind == "constant":
+        (constant,) = found.values
+        assert 1.0 / constant.value - 1.0 == pytest.approx(case.truth.size, abs=0.015)
+    if kind != "none":
+        assert np.all(found.after[found.effect > 0.03] < found.before[found.effect > 0.03])
+
+
+@pytest.fixture(scope="module")
+def without_foot(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
+    """The whole diagnosis of a leg whose foot is not mounted, and the folder of its files."""
+    folder = tmp_path_factory.mktemp("without_foot")
+    case = make_case("leg", "part", 1)
+    (folder / "leg.urdf").write_text(case.urdf)
+    np.savez(folder / "log.npz", **case.columns)
+    diagnosis = diagnose_robot(folder / "leg.urdf", folder / "log.npz")
+    write_robot_diagnosis(diagnosis, folder)
+    return diagnosis, folder
+
+
+def test_what_is_not_mounted_heads_the_answer(without_foot: tuple[Any, Path]) -> None:
+    diagnosis, folder = without_foot
+    assert diagnosis.verdict.startswith("Foot of the file")
+    assert all(joint.terms[0].key == "bodies" for joint in diagnosis.joints if joint.differs)
+    assert sum(joint.differs for joint in diagnosis.joints) >= 2
+    for joint in diagnosis.joints:
+        assert joint.left < 0.5 * joint.unchanged
+    assert "is not mounted" in (folder / "report.html").read_text()
+    assert "foot,mass,0," in (folder / "changes.csv").read_text()
+
+
+def test_the_written_robot_has_no_foot(without_foot: tuple[Any, Path]) -> None:
+    diagnosis, folder = without_foot
+    before, after = diagnosis.model, RobotModel(folder / "robot.urdf")
+    assert before.at_rest()[0].body_mass.sum() - after.at_rest()[0].body_mass.sum() == pytest.approx(0.35)
+    q, v, a = np.random.default_rng(2).standard_normal((3, 4, 3))
+    expected = diagnosis.changed.torque(after.names, q, v, a)
+    assert after.torque(after.names, q, v, a) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.campaign
+def test_sealed_bodies_are_right_and_never_wrong() -> None:
+    counts, lines = tally(3, dirty=False)
+    assert counts["wrong"] == 0, lines
+    assert counts["right"] >= 66, lines
+
+
+@pytest.mark.campaign
+def test_sealed_bodies_with_ripple_and_drift() -> None:
+    counts, lines = tally(2, dirty=True)
+    assert counts["wrong"] <= 1, lines
+    assert counts["right"] >= 36, lines
+
+
+@pytest.mark.campaign
+def test_the_hand_of_a_real_arm_is_not_mounted(data_folder: Path) -> None:
+    robots = (Path(place) / "cmeel.prefix/share/example-robot-data/robots" for place in sys.path)
+    found = [place / "panda_description/urdf/panda.urdf" for place in robots]
+    urdf = next((path for path in found if path.is_file()), None)
+    if urdf is None:
+        pytest.skip("the URDF of the arm is not installed: pip install example-robot-data")
+    diagnosis = diagnose_robot(urdf, data_folder / "robots/panda/log.npz")
+    assert diagnosis.verdict.startswith("Panda_hand with 2 more of the file (0.76 kg) is not mounted")
+    assert diagnosis.bodies is not None
+    assert np.all(diagnosis.bodies.after[:6] < 0.5 * diagnosis.bodies.before[:6])

@@ -150,6 +150,7 @@ def _kept(
     design = np.hstack([_basis(s, poles), np.ones((s.size, 1)), s[:, None]])
     residues, shares = [], []
     at = _basis(np.asarray(1j * poles.imag), poles)
+    every = at.reshape(poles.size, poles.size, 2)
     for response, present in zip(responses, known, strict=True):
         weight = (1.0 / np.abs(response[present]))[:, None]
         found = np.linalg.lstsq(
@@ -159,9 +160,13 @@ def _kept(
         )[0]
         pairs = found[: 2 * poles.size].reshape(-1, 2)
         residues.append(pairs[:, 0] + 1j * pairs[:, 1])
-        total = at @ found[: 2 * poles.size] + found[-2] + 1j * poles.imag * found[-1]
-        single = np.array([at[k, 2 * k : 2 * k + 2] @ pairs[k] for k in range(poles.size)])
-        shares.append(np.abs(single) / np.maximum(np.abs(total), 1e-300))
+        parts = np.einsum("kjc,jc->kj", every, pairs)
+        others = found[-2] + 1j * poles.imag * found[-1]
+        # At an antiresonance their sum is zero, and any pole would be large beside it; two channels have it elsewhere.
+        squares = (
+            np.abs(parts.sum(axis=1) + others) ** 2 if local else np.sum(np.abs(parts) ** 2, axis=1) + abs(others) ** 2
+        )
+        shares.append(np.abs(np.diag(parts)) / np.sqrt(np.maximum(squares, 1e-300)))
     carried = np.array(shares)
     damping = -poles.real / np.abs(poles)
     in_hz = scale / (2.0 * np.pi)
@@ -294,6 +299,35 @@ class _Looked(NamedTuple):
         return result
 
 
+class _Together(NamedTuple):
+    """Tests that meet one rig with the same modes: a mode is what all of their channels share."""
+
+    test: Measurement
+    name: str
+    lines: FloatArray
+    responses: ComplexArray
+    model: Modes
+
+    @classmethod
+    def of(cls, looked: Sequence[_Looked]) -> _Together:
+        """Of several tests: their channels one after the other over the lines of all."""
+        lines = np.unique(np.concatenate([each.lines for each in looked]))
+        first, others = looked[0].test.name, len(looked) - 1
+        name = f"{first} with {others} more" if others else first
+        model = side_by_side([each.model for each in looked])
+        return cls(looked[0].test, name, lines, np.vstack([each.over(lines) for each in looked]), model)
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """First and last line."""
+        return float(self.lines[0]), float(self.lines[-1])
+
+    def found(self, local: bool = False) -> Modes:
+        """Modes of the responses."""
+        inside = (self.model.frequencies_hz > self.lines[0]) & (self.model.frequencies_hz < self.lines[-1])
+        return measured_modes(self.lines, self.responses, int(inside.sum()), local)
+
+
 class LowLevelModes:
     """Modes of the random tests and linear responses of some observations.
 
@@ -312,6 +346,9 @@ class LowLevelModes:
         for number, test in enumerate(observations.tests):
             if test.modal_lines_hz is not None:
                 self._add(number, test, test.modal_lines_hz, observations, late)
+        self._together = [_Together.of(looked) for looked in self._looked.values()]
+        for together in self._together:
+            self._compare(together)
 
     def _add(
         self,
@@ -340,35 +377,32 @@ class LowLevelModes:
         self._looked.setdefault(_key(test), []).append(
             _Looked(test, lines, responses[kept], Modes(model.poles, model.shapes[:, kept]))
         )
-        near = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
-        found = measured_modes(lines, responses[kept], int(near.sum()))
-        found = Modes(found.poles, _padded(found.shapes, kept))
+
+    def _compare(self, together: _Together) -> None:
+        """Pair the modes that tests show together with those of the model, and keep what is paired and what is not."""
+        found, model = together.found(), together.model
         if not found.poles.size or not model.poles.size:
             return
-        likeness = found.likeness(Modes(model.poles, np.where(kept, model.shapes, 0.0)))
+        likeness = found.likeness(model)
         which = paired(found, model, likeness)
-        for frequency, sentence in modes_that_lack(test.name, (lines[0], lines[-1]), found, which):
+        for frequency, sentence in modes_that_lack(together.name, together.band_hz, found, which):
             if all(
                 abs(math.log(frequency / reported_hz)) >= THRESHOLDS.modes.same_log_frequency
                 for reported_hz, _ in self._lacking
             ):
                 self._lacking.append((frequency, sentence))
-        self.disordered += tuple(sentence for _, sentence in disorder(test.name, found, which, likeness))[:1]
+        self.disordered += tuple(sentence for _, sentence in disorder(together.name, found, which, likeness))[:1]
         used = which >= 0
         if used.any():
-            self.tests.append((test, Modes(found.poles[used], found.shapes[used]), which[used]))
+            self.tests.append((together.test, Modes(found.poles[used], found.shapes[used]), which[used]))
 
     @cached_property
     def missing(self) -> tuple[LackingMode, ...]:
         """Modes that make more resonances than the model has in a band, all tables over it taken together."""
         result: list[LackingMode] = []
-        for looked in self._looked.values():
-            test, lines = looked[0].test, np.unique(np.concatenate([each.lines for each in looked]))
-            model = side_by_side([each.model for each in looked])
-            inside = (model.frequencies_hz > lines[0]) & (model.frequencies_hz < lines[-1])
-            responses = np.vstack([each.over(lines) for each in looked])
-            found = measured_modes(lines, responses, int(inside.sum()), local=True)
-            band_hz = float(lines[0]), float(lines[-1])
+        for together in self._together:
+            test, lines, model, band_hz = together.test, together.lines, together.model, together.band_hz
+            found = together.found(local=True)
             which = paired(found, model, found.likeness(model))
             if not more_modes(found, model, lines, which):
                 continue
@@ -608,9 +642,3 @@ def _slopes(parametrisation: Parametrisation, theta: FloatArray, test: Measureme
 def _middle_s(test: Measurement) -> float:
     """Middle of a test on the clock of its bag, s."""
     return 0.5 * sum(test.span_s or (0.0, 0.0))
-
-
-def _padded(shapes: ComplexArray, kept: np.ndarray) -> ComplexArray:
-    result = np.zeros((shapes.shape[0], kept.size), dtype=np.complex128)
-    result[:, kept] = shapes
-    return result

@@ -9,11 +9,18 @@ import pytest
 from diagnose.predicted_observations import observations_of_model, real
 from diagnose.predicted_tests import chain
 from numpy.typing import NDArray
+from scipy.signal import cont2discrete
 
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.chain.chain_columns import linear_chain
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.random_responses.predictor import held_responses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.rig_parts import rig_parts
+from nmt_rig.model.fourier_basis import FourierBasis
 
 MODEL = real(
     chain(), local_elements=[{"kind": "jenkins", "point": 1, "tangential_stiffness_n_m": 3e3, "slip_force_n": 0.05}]
@@ -94,3 +101,44 @@ def test_images_change_what_harmonics_are_stated_over() -> None:
     harmonic = (rows.channel == channel) & np.isin(rows.part, (Part.REAL, Part.IMAG))
     assert np.max(np.abs(moved[harmonic])) > 1e-4
     assert (np.column_stack(constant) @ shares)[harmonic] == pytest.approx(moved[harmonic], abs=4e-6)
+
+
+def test_responses_to_a_held_drive_are_those_of_a_first_order_hold() -> None:
+    """Against the matrices of the equations of motion, whose highest modes lie above half the rate; by scipy."""
+    rig = chain(exciter={"kind": "force", "point": 1, "newton_per_volt": 1.0})
+    channels = tuple(
+        MeasuredChannel(f"{quantity.letter}{point}", quantity, point)
+        for quantity, point in (
+            (Quantity.DISPLACEMENT, 2), (Quantity.VELOCITY, 1), (Quantity.ACCELERATION, 1), (Quantity.FORCE, 1),
+        )
+    )  # fmt: skip
+    parts = rig_parts(rig, channels, FourierBasis.up_to(1), PredictionSettings(), 0.0, ideal_force=False)
+    r, system, rows = parts.coordinates, parts.system, parts.rows
+    assert r > 0
+    stiffness, damping = np.linspace(4e3, 8e3, r), np.linspace(0.5, 2.0, r)
+    local = parts.inputs[:, :r]
+    mass = np.linalg.inv(system.mass)
+    k = system.stiffness + local @ np.diag(stiffness) @ rows.displacement[:r]
+    c = system.damping + local @ np.diag(damping) @ rows.displacement[:r]
+    n = len(mass)
+    a = np.block([[np.zeros((n, n)), np.eye(n)], [-mass @ k, -mass @ c]])
+    b = np.vstack([np.zeros((n, 1)), mass @ parts.inputs[:, [r]]])
+    at, speed, gain = (block[r:] for block in (rows.displacement, rows.velocity, rows.acceleration))
+    motion = np.hstack([at - gain @ mass @ k, speed - gain @ mass @ c])
+    motion -= rows.feedthrough[r:, :r] @ np.hstack([stiffness[:, None] * rows.displacement[:r],
+                                                     damping[:, None] * rows.displacement[:r]])  # fmt: skip
+    direct = rows.feedthrough[r:, [r]] + gain @ mass @ parts.inputs[:, [r]]
+    interval = 1.0 / 30.0
+    assert np.abs(np.linalg.eigvals(a)).max() > 2.0 * np.pi / interval
+    sampled = cont2discrete((a, b, motion, direct), interval, "foh")
+    omega = np.linspace(1.0, np.pi / interval - 1.0, 50)
+    expected = np.array(
+        [
+            (sampled[2] @ np.linalg.solve(np.exp(1j * w * interval) * np.eye(2 * n) - sampled[0], sampled[1])
+             + sampled[3])[:, 0]
+            for w in omega
+        ]
+    )  # fmt: skip
+    own = np.arange(len(motion))
+    found = held_responses(parts.linear, r, stiffness, damping, own, omega, interval)
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())

@@ -40,6 +40,10 @@ LINES_PER_HALF_POWER = 3.0
 """Length of the record in inverse half-power bandwidths of the narrowest kept mode, at least."""
 DAMPING_SCATTER = 0.3
 """Relative standard uncertainty of damping above which a mode is dropped."""
+SAME_BANDWIDTH_SHARE = 0.02
+"""Distance of two fitted poles over the half-power half-width below which they are one mode."""
+SAME_SHAPE = 0.95
+"""MAC of two modes above which they may be one."""
 _ORDER = 3  # degree of the polynomials beside the poles
 _INVERTED = 0.1  # of the largest driving-point residue, from which on a negative one is no noise
 SEGMENTS = 10
@@ -384,7 +388,25 @@ def _refine(
     if not modes:
         raise BenchError(f"No mode could be fitted. {reasons[0]}; raise the level or record longer.")
     remarks += [f"{reason}." for reason in reasons]
-    return sorted(modes, key=lambda mode: mode.frequency_hz), remarks
+    return _different(modes), remarks
+
+
+def _different(modes: list[LinearMode]) -> list[LinearMode]:
+    """The modes without those that two poles of the averages led to twice, by frequency."""
+    result: list[LinearMode] = []
+    for mode in sorted(modes, key=lambda it: abs(it.frequency_hz - it.averaged.frequency_hz)):
+        pole = complex(mode.frequency_hz, mode.frequency_hz * mode.damping_ratio)
+        for other in result:
+            apart = abs(pole - complex(other.frequency_hz, other.frequency_hz * other.damping_ratio))
+            scatter = 3.0 * math.hypot(mode.frequency_std, other.frequency_std)
+            squares = float(np.vdot(mode.complex_shape, mode.complex_shape).real)
+            squares *= float(np.vdot(other.complex_shape, other.complex_shape).real)
+            alike = abs(np.vdot(mode.complex_shape, other.complex_shape)) ** 2 > SAME_SHAPE * squares
+            if alike and apart < max(scatter, SAME_BANDWIDTH_SHARE * pole.imag):
+                break
+        else:
+            result.append(mode)
+    return sorted(result, key=lambda mode: mode.frequency_hz)
 
 
 def scaled_mode(

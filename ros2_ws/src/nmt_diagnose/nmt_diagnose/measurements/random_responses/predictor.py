@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,12 +16,12 @@ from nmt_core.numerics.kernels import njit
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Part, Rows
 from nmt_diagnose.prediction.gaussian_motion import DrivenForces
-from nmt_diagnose.prediction.linear_model import Fractions
+from nmt_diagnose.prediction.linear_model import Fractions, LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.rig_parts import RigParts
-from nmt_diagnose.prediction.rig_tables import DELAY, GAIN, HIGH_PASS, LOW_PASS, sensor_gain
+from nmt_diagnose.prediction.rig_tables import sensor_gain
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 
@@ -31,47 +30,10 @@ if TYPE_CHECKING:
 
 # |W|² of the Hann window at a line's neighbours and at itself.
 HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
-# Orders of the drive's images: the armature's resonance may amplify high ones.
-IMAGES = tuple(order for n in range(1, 7) for order in (-n, n))
-IMAGE_NODES = 12
+# |λ| times the sampling interval from which exponentials need no series.
+_SERIES_BELOW = 0.3
 # Moments of a test at which a rig that drifts is taken, of −1 to 1 (Gauss–Legendre), and their weights.
 _MOMENTS, _SHARES = np.polynomial.legendre.leggauss(5)
-
-
-@dataclass(frozen=True)
-class Folding:
-    """Where images of a zero-order hold lie, and how they come down to the lines of a test.
-
-    Attributes:
-        nodes: (IMAGE_NODES,) frequencies between which a polynomial does, Hz.
-        frequencies: (images · nodes,) where responses are wanted, Hz.
-        below: (images, nodes) whether an image lies below zero.
-        weights: (images, nodes) share of its power.
-        at_lines: (lines, 1) share of the drive at the lines themselves.
-        between: (lines, nodes) from the nodes to the lines.
-    """
-
-    nodes: FloatArray
-    frequencies: FloatArray
-    below: NDArray[np.bool_]
-    weights: FloatArray
-    at_lines: FloatArray
-    between: FloatArray
-
-
-def folding(lines: FloatArray, rate: float) -> Folding:
-    """Images of a zero-order hold of 1/``rate`` (Hz), for some lines (Hz)."""
-    low, high = float(lines.min()), float(lines.max())
-    nodes = 0.5 * (low + high) + 0.5 * (high - low) * np.cos(np.pi * (np.arange(IMAGE_NODES) + 0.5) / IMAGE_NODES)
-    place = nodes + np.array(IMAGES)[:, None] * rate
-    basis, at = (
-        np.polynomial.chebyshev.chebvander((2.0 * x - low - high) / max(high - low, 1e-9), IMAGE_NODES - 1)
-        for x in (nodes, lines)
-    )
-    return Folding(
-        nodes, np.abs(place).ravel(), place <= 0.0, np.sinc(place / rate) ** 2, np.sinc(lines / rate)[:, None] ** 2,
-        np.array(np.linalg.solve(basis.T, at.T).T, dtype=np.float64, order="C"),
-    )  # fmt: skip
 
 
 class RandomPredictor(Predictor):
@@ -113,8 +75,7 @@ class RandomPredictor(Predictor):
             if (which := np.flatnonzero(rows.part == part)).size
         }
         rate = test.drive_hold_hz
-        held = math.isfinite(rate) and test.reference == "voltage" and test.lines_hz.size > 0
-        self._folding = folding(test.lines_hz, rate) if held else None
+        self._held_hz = rate if math.isfinite(rate) and test.reference == "voltage" else None
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
@@ -135,10 +96,7 @@ class RandomPredictor(Predictor):
         parts = cache.parts(rig, self.setup, self.seconds)
         fractions = self._fractions(parts)
         local = self._local(parts, fractions, cache, self.seconds)
-        result = self._smoothed(rig, cache, parts, local, fractions)
-        if self._folding is None:
-            return result
-        return np.asarray(self._folding.at_lines * result + self._images(parts, local, self._folding, fractions))
+        return self._smoothed(rig, cache, parts, local, fractions)
 
     def _local(
         self, parts: RigParts, fractions: Fractions, cache: PartsCache, seconds: float
@@ -164,22 +122,6 @@ class RandomPredictor(Predictor):
             cache.forces[self, seconds] = driven
             return driven.forces
         return followed
-
-    def _images(
-        self, parts: RigParts, local: tuple[FloatArray, FloatArray], folding: Folding, fractions: Fractions
-    ) -> ComplexArray:
-        """What images of the drive around multiples of its rate fold onto the lines (lines, channels).
-
-        Far above the lines the responses are smooth: a few frequencies and a polynomial between them do.
-        """
-        # The sensors of a rig whose drive is held act on samples, that is on what has been folded down already.
-        chains = parts.channels[self._own]
-        ideal = chains.copy()
-        ideal[:, [DELAY, LOW_PASS, HIGH_PASS]] = 0.0
-        values = self._plain(parts, local, folding.frequencies, fractions, ideal)
-        total = folded(values, folding.below, folding.weights)
-        total *= sensor_gains(folding.nodes * parts.clock, chains[:-1]) / chains[:-1, GAIN]
-        return np.asarray(folding.between @ total)
 
     def _smoothed(
         self,
@@ -221,21 +163,19 @@ class RandomPredictor(Predictor):
         local: tuple[FloatArray, FloatArray],
         frequencies: FloatArray,
         fractions: Fractions,
-        chains: FloatArray | None = None,
     ) -> ComplexArray:
         """Responses to the drive at some frequencies (frequencies, channels and reference).
 
         ``local`` are stiffness and damping of the local forces, ``fractions`` the partial fractions of the local
-        coordinates and of the channels, ``chains`` the sensor chains; None = those of the rig.
+        coordinates and of the channels.
         """
-        r = parts.coordinates
-        h = linear_responses(
-            2.0 * np.pi * frequencies * parts.clock,
-            r,
-            *local,
-            tuple(fractions.of_inputs(parts.linear.inputs.shape[1], r + 1)),
-            parts.channels[self._own] if chains is None else chains,
-        )
+        r, omega, chains = parts.coordinates, 2.0 * np.pi * frequencies * parts.clock, parts.channels[self._own]
+        if self._held_hz is None:
+            tables = tuple(fractions.of_inputs(parts.linear.inputs.shape[1], r + 1))
+            h = linear_responses(omega, r, *local, tables, chains)
+        else:
+            interval = 1.0 / (self._held_hz * parts.clock)
+            h = held_responses(parts.linear, r, *local, self._own, omega, interval) * sensor_gains(omega, chains)
         h *= parts.input_per_volt[0]
         if self.test.reference == "base":  # 1 V is this acceleration of the base
             h[:, -1] *= parts.input_per_volt[0]
@@ -269,19 +209,6 @@ def amplifier_gain(rms: float, saturation: float) -> float:
 
 
 @njit(cache=True)
-def folded(values: ComplexArray, below: NDArray[np.bool_], weights: FloatArray) -> ComplexArray:
-    """Sum (nodes, c) of weighted images; ``values`` (images · nodes, c + 1) are those at positive frequencies."""
-    images, nodes = weights.shape
-    result = np.zeros((nodes, values.shape[1] - 1), dtype=np.complex128)
-    for i in range(images):
-        for k in range(nodes):
-            for c in range(result.shape[1]):
-                value = values[i * nodes + k, c]
-                result[k, c] += weights[i, k] * (np.conj(value) if below[i, k] else value)
-    return result
-
-
-@njit(cache=True)
 def windowed(values: ComplexArray, index: NDArray[np.int64], weights: FloatArray) -> ComplexArray:
     """Cross-spectra over the power of the reference (lines, c), both as a window mixes neighbouring lines.
 
@@ -308,14 +235,53 @@ def windowed(values: ComplexArray, index: NDArray[np.int64], weights: FloatArray
 
 
 @njit(cache=True)
-def sensor_gains(frequencies: FloatArray, channels: FloatArray) -> ComplexArray:
-    """Complex gains (frequencies, c) of sensor chains (c, 4) at frequencies in Hz."""
-    result = np.empty((frequencies.size, channels.shape[0]), dtype=np.complex128)
-    for line in range(frequencies.size):
-        s = 2j * np.pi * frequencies[line]
+def sensor_gains(omega: FloatArray, channels: FloatArray) -> ComplexArray:
+    """Complex gains (lines, c) of sensor chains (c, 4) at angular frequencies, rad/s."""
+    result = np.empty((omega.size, channels.shape[0]), dtype=np.complex128)
+    for line in range(omega.size):
+        s = 1j * omega[line]
         for k in range(channels.shape[0]):
             result[line, k], _ = sensor_gain(s, channels[k])
     return result
+
+
+def held_responses(
+    model: LinearModel, r: int, stiffness: FloatArray, damping: FloatArray, channels: NDArray[np.int64],
+    omega: FloatArray, interval_s: float,
+) -> ComplexArray:  # fmt: skip
+    """Samples of channels over samples of a drive that goes straight between them, exact for every image of the drive.
+
+    The response of each pole to a first-order hold has a closed form (Franklin, Powell and Workman, Digital Control of
+    Dynamic Systems, 1998, section 6.3.2). Sensors are ideal; local forces are linear: k w + d ẇ.
+
+    Args:
+        model: linear part; its first r inputs and outputs are those of the local forces, the next input is the drive.
+        r: number of local coordinates.
+        stiffness, damping: k and d, (r,) each.
+        channels: numbers of the channels, counted from the first output after the local coordinates, (c,).
+        omega: (lines,) rad/s.
+        interval_s: from sample to sample, s.
+
+    Returns:
+        (lines, c).
+    """
+    rows = r + channels
+    moved = model.displacement[:r]
+    acting = (stiffness[:, None] + damping[:, None] * model.poles) * moved
+    poles, shapes = np.linalg.eig(np.diag(model.poles) - model.inputs[:, :r] @ acting)
+    driven = np.linalg.solve(shapes, model.inputs[:, r])
+    position, speed, gain = (block[rows] @ shapes for block in (model.displacement, model.velocity, model.acceleration))
+    forces = model.feedthrough[rows, :r] @ ((stiffness[:, None] + damping[:, None] * poles) * (moved @ shapes))
+    direct = speed + gain * poles
+    residues = (position + direct * poles - forces) * driven
+    constant = model.feedthrough[rows, r] + direct @ driven
+    x, z = poles * interval_s, np.exp(1j * omega * interval_s)[:, None]
+    first = np.where(np.abs(x) > _SERIES_BELOW, np.expm1(x) / x, sum(x**n / math.factorial(n + 1) for n in range(12)))
+    second = np.where(
+        np.abs(x) > _SERIES_BELOW, (first - 1.0) / x, sum(x**n / math.factorial(n + 2) for n in range(12))
+    )
+    follow = interval_s * (first - second + second * z) / (z - np.exp(x))
+    return np.asarray(constant + follow @ residues.T)
 
 
 @njit(cache=True)

@@ -692,7 +692,7 @@ def test_slip_forces_that_drift_take_nothing_else_along():
 
 
 def test_a_held_drive_folds_its_images_onto_the_lines():
-    """Against the sum over the images, each with lines of its own and no polynomial between a few frequencies."""
+    """Against the sum over many images; those beyond them are small."""
     rig, rate = load_rig("beam"), 2000.0
     plain, table = noise_test(rig, 20.0, 100.0, 9, window="none")
 
@@ -701,12 +701,12 @@ def test_a_held_drive_folds_its_images_onto_the_lines():
         return (np.exp(values[0::2]) * np.exp(1j * values[1::2])).reshape(plain.lines_hz.size, -1)
 
     expected = np.zeros((plain.lines_hz.size, len(plain.channels)), dtype=complex)
-    for order in range(-6, 7):
+    for order in range(-300, 301):
         place = plain.lines_hz + order * rate
         image = responses(replace(plain, lines_hz=np.abs(place)))
         expected += np.sinc(place / rate)[:, None] ** 2 * np.where(place[:, None] > 0.0, image, image.conj())
     found = responses(replace(plain, drive_hold_hz=rate))
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    np.testing.assert_allclose(found, expected, rtol=1e-4)
     assert np.max(np.abs(found / responses(plain) - 1.0)) > 1e-4
 
 

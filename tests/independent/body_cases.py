@@ -303,7 +303,6 @@ def tally(seeds: int, dirty: bool, kinds: tuple[str, ...] = KINDS) -> tuple[Coun
     """Counts of the verdicts, and a line for each case."""
     from nmt_robots.bodies.body_finding import body_finding
     from nmt_robots.log.joint_log import JointLog
-    from nmt_robots.mechanics.readings import DriveSignals
     from nmt_robots.model.robot_model import RobotModel
 
     counts, lines = Counter[str](), []
@@ -319,8 +318,7 @@ def tally(seeds: int, dirty: bool, kinds: tuple[str, ...] = KINDS) -> tuple[Coun
                     names = tuple(str(name) for name in case.columns["names"])
                     log = JointLog("sealed", names, case.columns["time"], case.columns["position"],
                                    torque=case.columns["torque"])  # fmt: skip
-                    drive = DriveSignals(case.columns["torque"])
-                    found = body_finding(model, log, drive, model.chosen(names))
+                    found = body_finding(model, log, case.columns["torque"], model.chosen(names))
                     assert found is not None
                     seconds = time.process_time() - begun
                 verdict = judged(found, case.truth, found.subjects)

@@ -15,7 +15,6 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not te
 from nmt_robots.bodies.body_finding import BodyFinding, body_finding
 from nmt_robots.bodies.body_shape import SHAPE, BodyShape, moved_body
 from nmt_robots.log.joint_log import JointLog
-from nmt_robots.mechanics.readings import DriveSignals
 from nmt_robots.model.links import LinkMotion, parameters_of, split_parameters
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
@@ -29,7 +28,7 @@ def finding_of(case: Case, path: Path) -> BodyFinding:
     names = tuple(str(name) for name in case.columns["names"])
     torque = case.columns["torque"]
     log = JointLog("sealed", names, case.columns["time"], case.columns["position"], torque=torque)
-    found = body_finding(model, log, DriveSignals(torque), model.chosen(names))
+    found = body_finding(model, log, torque, model.chosen(names))
     assert found is not None
     return found
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from nmt_robots.bodies.body_rows import CONSTANT, GAIN, TILT, UNSEEN, BodyRows, Whitened, spring_spread
+from nmt_robots.bodies.body_rows import CONSTANT, TILT, UNSEEN, BodyRows, Whitened, spring_spread
 from nmt_robots.bodies.body_shape import SHAPE, BodyShape
 from nmt_robots.log.joint_log import Array
 
@@ -29,7 +29,7 @@ EVERYWHERE = (0.10, 0.10, 0.15)
 _TILT_TOLERANCE, _CONSTANT_TOLERANCE = np.radians(0.2), 0.005
 _PRIOR = {
     "none": 0.4, "link": 0.25, "payload": 0.12, "tilt": 0.08, "constant": 0.10, "pair": 0.10, "all": 0.10,
-    "part": 0.10, "spring": 0.05, "gain": 0.05,
+    "part": 0.10, "spring": 0.05,
 }  # fmt: skip
 _STEPS = 12
 _LONGEST = 3.0
@@ -143,7 +143,7 @@ class BodyEvidence:
         self.rows, self._white, self.ends, self.parts = rows, white, ends, parts
         self.shapes = [BodyShape(link.parameters, link.length) for link in rows.links]
         self.count = len(rows.links)
-        self._size = 10 * self.count + 2 + 3 * rows.left.shape[1]
+        self._size = 10 * self.count + 2 + 2 * rows.left.shape[1]
         scaled = rows.columns / rows.size[:, None]
         self._grams = np.einsum("njp,njq->jpq", scaled, scaled) / len(scaled)
 
@@ -166,9 +166,6 @@ class BodyEvidence:
         if explanation.kind == "spring":
             place = self.rows.springs.start + explanation.joint
             found[place], far[place] = spring_spread(self.rows)[explanation.joint], True
-        if explanation.kind == "gain":
-            place = self.rows.gains.start + explanation.joint
-            found[place], far[place] = GAIN, True
         return found, far
 
     def _of_link(self, link: int, sizes: tuple[float, float, float]) -> Array:
@@ -302,8 +299,7 @@ class BodyEvidence:
             asked.append((Explanation("tilt"), _PRIOR["tilt"]))
         width = self.rows.left.shape[1]
         asked += [(Explanation("constant", joint=joint), _PRIOR["constant"] / width) for joint in range(width)]
-        kinds = ("spring", "gain") if np.any(self.rows.columns[:, :, self.rows.gains]) else ("spring",)
-        asked += [(Explanation(kind, joint=joint), _PRIOR[kind] / width) for kind in kinds for joint in range(width)]
+        asked += [(Explanation("spring", joint=joint), _PRIOR["spring"] / width) for joint in range(width)]
         asked.append((Explanation("all", tuple((link, EVERY) for link in links)), _PRIOR["all"]))
         asked += [(Explanation("part", off=off), _PRIOR["part"] / len(self.parts)) for off in range(len(self.parts))]
         weighed = [(self.weigh(item), prior) for item, prior in asked]

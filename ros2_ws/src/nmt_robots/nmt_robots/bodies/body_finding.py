@@ -20,7 +20,6 @@ from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, across, body_rows, fre
 from nmt_robots.bodies.body_shape import moved_body
 from nmt_robots.bodies.robot_parts import Part, last_links, parts_of
 from nmt_robots.log.joint_log import Array, JointLog
-from nmt_robots.mechanics.readings import DriveSignals
 from nmt_robots.model.links import parameters_of, split_parameters
 from nmt_robots.model.robot_model import BodyChange, Joint, RobotModel
 
@@ -31,10 +30,11 @@ _RISES = 3.0
 """ln evidence by which a further link has to be better."""
 _SAME = 3.0
 """Standard uncertainties within which the mass of a part is that which its link lacks."""
-_MISFIT = 4.0
+_MISFIT = 3.0
+"""Pull of a tolerance, in standard deviations, from which the bodies are not as in the file for sure."""
 _IMPLAUSIBLE = 3.5
 _FEWEST_ROWS = 80
-_OF_ONE_JOINT = {"spring": "spring at", "gain": "position gain of"}
+_OF_ONE_JOINT = {"spring": "spring at"}
 """Explanations that no body is: the joint is asked for them."""
 _AXES = ("x", "y", "z")
 
@@ -125,22 +125,19 @@ class BodyFinding:
         }  # fmt: skip
 
 
-def body_finding(robot: RobotModel, log: JointLog, drive: DriveSignals, joints: Sequence[Joint]) -> BodyFinding | None:
+def body_finding(robot: RobotModel, log: JointLog, torque: Array, joints: Sequence[Joint]) -> BodyFinding | None:
     """What bodies differ from the file; None where the log is too short to ask, or has one joint, which shares nothing.
 
     Args:
         robot: as the file has it.
         log: on an even clock.
-        drive: of all joints as the log is read.
+        torque: rows × J, of the drives as the log is read, N·m.
         joints: of the columns.
     """
     if log.rows * log.step_s < _FEWEST_ROWS * 0.05 + 1.0 or len(joints) < 2:
         return None
     in_file = [(joint.coulomb, joint.damping, joint.armature) for joint in joints]
-    gained = np.zeros_like(log.position)
-    if drive.error is not None and log.position_gain is not None:
-        gained = drive.error * log.position_gain
-    rows = body_rows(robot, log.joints, log.position, drive.torque, gained, log.step_s, in_file)
+    rows = body_rows(robot, log.joints, log.position, torque, log.step_s, in_file)
     parts = parts_of(robot, rows.links)
     white = whitened(rows, free_spread(rows))
     evidence = BodyEvidence(
@@ -178,6 +175,7 @@ class _Asked:
         if best.explanation.kind == "none":
             words = "The bodies are as in the file, within its tolerances."
             if nothing.pulled > _MISFIT:
+                base = replace(base, kind="unknown")
                 words += (
                     f" Yet a tolerance is pulled by {nothing.pulled:.1f} standard deviations: something acts that none "
                     "of the explanations has."

@@ -33,8 +33,6 @@ CONSTANT = 0.10
 """Prior standard deviation of a drive's constant that may be wrong, as a share."""
 TILT = np.radians(5.0)
 """The same of a base that may lean, rad."""
-GAIN = 0.2
-"""The same of a position gain, as a share."""
 UNSEEN = THRESHOLDS.smallest_share
 """Share of a joint's torque below which a log does not tell a change of the bodies."""
 _LATE_S = 0.002
@@ -56,7 +54,7 @@ class BodyRows:
         left: N × J, torque that the file's bodies and friction leave over, N·m.
         size: J, rms of the torque, N·m.
         columns: N × J × P: ten of each link, two of a tilt (per rad), one of each joint's drive (per share), and of
-            what no body is, a spring and a position gain of each joint.
+            what no body is, a spring at each joint.
         nuisances: N × J × K × J: friction, armature, offset and delay of each joint, per prior standard deviation.
         time: N, s.
     """
@@ -85,14 +83,9 @@ class BodyRows:
         """Columns of springs at single joints (per N·m/rad), which no body is."""
         return slice(self.drives.stop, self.drives.stop + self.left.shape[1])
 
-    @property
-    def gains(self) -> slice:
-        """Columns of position gains of single drives (per share); zero where the torque was measured."""
-        return slice(self.springs.stop, self.springs.stop + self.left.shape[1])
-
 
 def body_rows(
-    robot: RobotModel, joints: tuple[str, ...], position: Array, torque: Array, gained: Array, step_s: float,
+    robot: RobotModel, joints: tuple[str, ...], position: Array, torque: Array, step_s: float,
     in_file: Sequence[tuple[float, float, float]],
 ) -> BodyRows:  # fmt: skip
     """Rows of a log on an even clock.
@@ -101,14 +94,12 @@ def body_rows(
         robot: as the file has it.
         joints: J names of the columns.
         position, torque: rows × J, rad and N·m.
-        gained: rows × J, part of the torque that the position gains make, N·m; zero where it was measured.
         step_s: between rows.
         in_file: Coulomb friction, damping and armature of each joint in the file.
     """
     every = max(1, round(_FINEST_S / step_s))
     if every > 1:
-        position, torque, gained = position[::every], torque[::every], gained[::every]
-        step_s *= every
+        position, torque, step_s = position[::every], torque[::every], every * step_s
     slow = butter(_ORDER, min(_TORQUE_HZ * 2.0 * step_s, 0.8), output="sos")
     fast = butter(_ORDER, min(_MOTION_HZ * 2.0 * step_s, 0.9), output="sos")
     q = sosfiltfilt(fast, position, axis=0)
@@ -129,16 +120,16 @@ def body_rows(
     left = target - bodies - rubbing * coulomb - passed(v) * damping - inertial * armature
     size = np.maximum(np.sqrt(np.mean(target**2, axis=0)), 1e-12)
     count, width = len(motion.links), len(joints)
-    columns = np.zeros((len(keep), width, 10 * count + 2 + 3 * width))
+    columns = np.zeros((len(keep), width, 10 * count + 2 + 2 * width))
     for (joint, link), values in motion.columns(gravity).items():
         columns[:, joint, 10 * link : 10 * link + 10] = passed(values)
     for axis, direction in enumerate(across(gravity)):
         leaning = np.cross(direction, gravity)
         for (joint, link), values in motion.columns(leaning, still=True).items():
             columns[:, joint, 10 * count + axis] += passed(values @ motion.links[link].parameters)
-    turned, by_gain = passed(q - np.mean(q, axis=0)), passed(gained)
+    turned = passed(q - np.mean(q, axis=0))
     for joint in range(width):
-        for place, values in enumerate((bodies, turned, by_gain)):
+        for place, values in enumerate((bodies, turned)):
             columns[:, joint, 10 * count + 2 + place * width + joint] = values[:, joint]
     spread = _FRICTION * size
     nuisances = np.zeros((len(keep), width, len(_KINDS), width))
@@ -252,7 +243,7 @@ def free_spread(rows: BodyRows) -> Array:
         found[10 * number + 1 : 10 * number + 4] = 0.25 * mass * length
         found[10 * number + 4 : 10 * number + 10] = 0.25 * mass * length**2
     found[rows.tilt], found[rows.drives] = TILT, CONSTANT
-    found[rows.springs], found[rows.gains] = spring_spread(rows), GAIN
+    found[rows.springs] = spring_spread(rows)
     return found
 
 

@@ -114,6 +114,13 @@ def reading_findings(scores: ReadingScores, held_s: float) -> list[Finding]:
                 apart, float("nan"), "1", fault=False,
             )
         )  # fmt: skip
+    if scores.is_beyond:
+        longest = max(max(abs(item.command_lag_s), abs(item.torque_lag_s)) for item in scores.readings)
+        sentence = (
+            f"Command or torque fit best with the largest lag that was asked, {1e3 * longest:.3g} ms: no lag is "
+            "stated, and damping and armature may be made of one."
+        )
+        return [*found, Finding("lag_beyond", sentence)]
     late = "command_lag_s" if best.command_lag_s else "torque_lag_s"
     lag, std = scores.lag(best.command, late)
     kind = bool(best.command_lag_s)

@@ -12,6 +12,9 @@ from nmt_robots.mechanics.least_squares import fitted
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.thresholds import THRESHOLDS
 
+_ORDINARY_S = 0.002
+"""Delay of a speed by an ordinary filter, s."""
+
 
 def velocity_findings(log: JointLog, motion: Motion) -> list[Finding]:
     """What the speeds of a log say beside its positions."""
@@ -120,6 +123,6 @@ def _lag(names: list[str], lags: Array, step_s: float) -> list[Finding]:
         Finding(
             "velocity_late",
             f"The logged speeds are {1e3 * abs(middle):.2g} ± {1e3 * std:.1g} ms {words} against the positions.",
-            middle, std, "s",
+            middle, std, "s", fault=not 0.0 < middle < 1.5 * _ORDINARY_S,
         )
     ]  # fmt: skip

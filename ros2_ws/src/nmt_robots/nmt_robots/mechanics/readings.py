@@ -15,6 +15,8 @@ from nmt_robots.log.joint_log import Array, JointLog
 
 HELD = "held"
 SMOOTH = "smooth"
+LONGEST_S = 0.04
+"""Lag to either side that is asked for."""
 
 
 @dataclass(frozen=True)
@@ -151,15 +153,17 @@ class DriveTorque:
         assert velocity is not None
         return (0.0 if log.velocity_command is None else log.velocity_command) - velocity
 
-    def candidates(self, derived: bool = False, longest_s: float = 0.04) -> list[Reading]:
-        """Readings that the log allows: each lag of command and of torque; of both at once only small ones of torque.
+    def candidates(self, derived: bool = False, longest_s: float = LONGEST_S) -> list[Reading]:
+        """Readings that the log allows: each lag of command and of torque to both sides; of both at once only small
+        ones of torque. What is early is asked for at every other step.
 
         Args:
             derived: whether the logged speed has a fault, so that the drive may not have damped by it.
             longest_s: largest lag, s.
         """
         step = max(0.5 * self._step, 1e-3)
-        lags = np.arange(-2, int(longest_s / step) + 1) * step
+        most = max(int(longest_s / step), 2)
+        lags = np.r_[np.arange(-most, -2, 2), np.arange(-2, most + 1)] * step
         kinds = [HELD, SMOOTH] if self._is_held() else [HELD]
         found = [replace(Reading(kind), torque_lag_s=round(float(lag), 6)) for kind in kinds for lag in lags]
         if self.arithmetic:
@@ -167,7 +171,7 @@ class DriveTorque:
                 replace(Reading(kind), command_lag_s=round(float(lag), 6), torque_lag_s=after)
                 for kind in kinds
                 for lag in lags
-                for after in (0.0, 0.001, 0.002)
+                for after in ((0.0, 0.001, 0.002) if lag >= -2.5 * step else (0.0,))
             ]
         if derived and self.arithmetic and self._log.velocity is not None:
             found += [replace(reading, derived=True) for reading in found]

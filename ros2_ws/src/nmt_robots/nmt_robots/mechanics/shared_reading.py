@@ -10,10 +10,12 @@ from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.columns import usual_effects
 from nmt_robots.mechanics.least_squares import solve_normal
 from nmt_robots.mechanics.motion import Motion
-from nmt_robots.mechanics.readings import DriveTorque, Reading
+from nmt_robots.mechanics.readings import LONGEST_S, DriveTorque, Reading
 from nmt_robots.thresholds import THRESHOLDS
 
 _GROUPS = 4
+_EARLY_S, _EXPLAINS_MOST = 0.005, 0.3
+"""Time by which something may be early as anything else, s; squared residual it needs beyond, against that without."""
 _OTHER_KIND = 4.0
 """Squared residual against that of the best up to which a reading of the other kind still widens every ±."""
 
@@ -38,8 +40,30 @@ class ReadingScores:
 
     @property
     def best(self) -> Reading:
-        """The one with the least relative residual."""
-        return self.readings[int(np.argmin(self.relative))]
+        """The one with the least relative residual whose lags are not the largest that were asked."""
+        return self.readings[self.first]
+
+    @property
+    def first(self) -> int:
+        """Its number."""
+        return int(np.argmin(np.where(self._at_edge() | self._doubtful(), np.inf, self.relative)))
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether a lag that is the largest that was asked fits better than all others, so that none is known."""
+        return bool(self._at_edge()[np.argmin(np.where(self._doubtful(), np.inf, self.relative))])
+
+    def _at_edge(self) -> Array:
+        """R: whether a lag is the first or the last that was asked of its kind."""
+        lags = np.array([[item.command_lag_s, item.torque_lag_s] for item in self.readings])
+        low, high = np.min(lags, axis=0), np.max(lags, axis=0)
+        return np.asarray(np.any(((lags == low) | (lags == high)) & (np.abs(lags) > 0.5 * LONGEST_S), axis=1))
+
+    def _doubtful(self) -> Array:
+        """R: whether something is far early, which few loggers make, and yet does not explain most of what is over."""
+        early = np.array([min(item.command_lag_s, item.torque_lag_s) < -_EARLY_S for item in self.readings])
+        usual = float(np.min(self.relative[~early])) if np.any(~early) else np.inf
+        return early & (self.relative > _EXPLAINS_MOST * usual)
 
     @property
     def plain(self) -> int:
@@ -72,9 +96,11 @@ class ReadingScores:
 
     def fit_as_well(self) -> list[Reading]:
         """Readings that cannot be told from the best one: the best itself comes first."""
-        first = int(np.argmin(self.relative))
+        first, at_edge = self.first, self._at_edge() | self._doubtful()
         found = [self.readings[first]]
         for number, reading in enumerate(self.readings):
+            if at_edge[number]:
+                continue
             apart = np.log(self.by_group[number] / self.by_group[first])
             std = float(np.std(apart, ddof=1) / np.sqrt(len(apart)))
             allowed = THRESHOLDS.fits_as_well + 2.0 * min(std, THRESHOLDS.fits_as_well)
@@ -92,13 +118,18 @@ class ReadingScores:
 
         To first order a late loop is damping and armature, so the fit alone tells the two apart too surely.
         """
-        first = int(np.argmin(self.relative))
+        first = self.first
         best = self.readings[first]
         if max(abs(best.command_lag_s), abs(best.torque_lag_s)) <= THRESHOLDS.lag_s:
             return []
         found = []
         for commanded in (True, False):
-            numbers = [n for n, reading in enumerate(self.readings) if bool(reading.command_lag_s) == commanded]
+            at_edge = self._at_edge() | self._doubtful()
+            numbers = [
+                n
+                for n, reading in enumerate(self.readings)
+                if bool(reading.command_lag_s) == commanded and not at_edge[n]
+            ]
             if numbers:
                 number = min(numbers, key=lambda n: self.relative[n])
                 if self.relative[number] < _OTHER_KIND * self.relative[first]:

@@ -14,6 +14,7 @@ from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.ladder import JointMechanics, Share
 from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.readings import Reading
 from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import Joint
 from nmt_robots.thresholds import THRESHOLDS
@@ -340,6 +341,22 @@ def joint_verdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
         after.interleaved, best.plain.last, after.last, _remains(best),
     )  # fmt: skip
+
+
+def by_lag_of_torque(log: JointLog, reading: Reading) -> dict[int, dict[str, float]]:
+    """What of damping and armature the torque's lag of a reading may be made of, by joint and key.
+
+    A lag δ of the whole loop is to first order a late command with a damping of −kp δ and an armature of −kd δ.
+    """
+    if not log.is_arithmetic or log.position_gain is None:
+        return {}
+    # A drive that holds its torque is late by a part of a row, and the fit's own tolerance has that.
+    delay = max(abs(reading.torque_lag_s) - 2.0 * THRESHOLDS.lag_s, 0.0)
+    damped = np.zeros(len(log.joints)) if log.velocity_gain is None else log.velocity_gain
+    return {
+        number: {"viscous": delay * float(log.position_gain[number]), "armature": delay * float(damped[number])}
+        for number in range(len(log.joints))
+    }
 
 
 def by_shared_delay(

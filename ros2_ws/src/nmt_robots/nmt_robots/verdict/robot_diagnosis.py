@@ -41,6 +41,7 @@ from nmt_robots.verdict.alike_joints import joint_group, read_joint_table
 from nmt_robots.verdict.file_findings import file_findings
 from nmt_robots.verdict.joint_verdict import (
     JointVerdict,
+    by_lag_of_torque,
     by_shared_delay,
     joint_verdict,
     scale_findings,
@@ -188,12 +189,14 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     log = with_right_speeds(log, motion)
     drive = DriveTorque(log)
     found += assignment_findings(robot, log, motion, drive.torque(Reading()))
-    derived = any(finding.fault and finding.key.startswith("velocity") for finding in found)
+    derived = any(
+        (finding.fault or finding.key == "velocity_late") and finding.key.startswith("velocity") for finding in found
+    )
     scores = compare_readings(motion, drive, derived)
     plain = _plain_left(motion, plain_torque)
     progress("bodies")
     as_given = log, motion
-    bodies = None if no_claims_because(found) else body_finding(robot, log, drive.signals(scores.best), joints)
+    bodies = None if no_claims_because(found) else body_finding(robot, log, drive.torque(scores.best), joints)
     changed = robot
     if bodies is not None and bodies.claimed:
         changed, log = bodies.robot, without_factor(log, bodies.factor)
@@ -211,9 +214,12 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     verdicts = []
     put_in = _put_in(as_given, log, motion, as_well[0])
     delayed = by_shared_delay(log, believed, {number: items[0] for number, items in results.items()})
+    lagging = by_lag_of_torque(log, as_well[0])
     for number, joint in enumerate(joints):
         if number in results:
             timing = delayed.get(number, {})
+            for key, size in lagging.get(number, {}).items():
+                timing[key] = max(timing.get(key, 0.0), size)
             verdicts.append(
                 joint_verdict(joint, motion, number, results[number], plain[number], put_in[:, number], timing)
             )

@@ -6,6 +6,7 @@ import math
 
 import pytest
 from report import diagnosis_fixture as fixture
+from tiers import with_quick
 
 from nmt_core.kinds import RandomTest
 from nmt_core.kinds.request import TestRequest
@@ -23,7 +24,7 @@ def record(verdict: Verdict) -> InvestigationRecord:
     return InvestigationRecord("beam", "real.yaml", tests=(linear, levels), turns=(turn,), plan=(0.1, 0.2))
 
 
-@pytest.mark.parametrize("verdict", list(Verdict))
+@pytest.mark.parametrize("verdict", with_quick(Verdict, Verdict.EFFECT, Verdict.UNKNOWN))
 def test_the_page_shows_the_place_the_courses_and_what_remains(verdict: Verdict) -> None:
     """With links to the diagnosis and to the report of each test that has one."""
     report = fixture.report(verdict)

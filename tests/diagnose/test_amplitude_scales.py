@@ -19,10 +19,10 @@ from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings

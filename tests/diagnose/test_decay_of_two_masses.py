@@ -17,9 +17,9 @@ from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_diagnose.measurements import recorded_decay as reading
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.recorded_decay import reading
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Observations, Part

@@ -21,7 +21,7 @@ from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.reading import LawTerm, LocalLaw
 from nmt_diagnose.law.record_law import read_record_law
 from nmt_diagnose.law.terms import OF_RECORDS, Term
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.model.assembly import displacement_output
 from nmt_rig.model.element_uses import LawForm

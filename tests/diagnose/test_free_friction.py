@@ -17,7 +17,7 @@ from nmt_core.numerics.kernels import njit
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward

@@ -18,9 +18,9 @@ from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError
 from nmt_diagnose.law.reading import LawReading, read_law
 from nmt_diagnose.law.terms import Term
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable

@@ -29,7 +29,7 @@ from nmt_diagnose.fit.noise import Groups, groups_of
 from nmt_diagnose.ledger.comparison import Hypotheses, SourceEvidence, laws
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.ledger.size import IMITATION
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain

@@ -15,7 +15,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Verdict
-from nmt_diagnose.measurements.backbone_table.backbone_table import BackboneTable
+from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.driven_record.reading import spread_samples, white_noise
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses

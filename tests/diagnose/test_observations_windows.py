@@ -20,7 +20,7 @@ from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows.locked_window import analyse_window
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import moderated

@@ -30,7 +30,7 @@ from nmt_diagnose.measurements.locked_windows.reading import moderate
 from nmt_diagnose.measurements.locked_windows.rows_of_channels import Cell, UsedWindows, add_rows_of_channels
 from nmt_diagnose.measurements.random_responses.reading import lines_of
 from nmt_diagnose.measurements.random_responses.table_reading import response_table_observations
-from nmt_diagnose.measurements.recorded_decay.reading import add_nodes, notes_of
+from nmt_diagnose.measurements.recorded_decay import add_nodes, notes_of
 from nmt_diagnose.measurements.stepped_responses.predictor import whitened_difference
 from nmt_diagnose.measurements.stepped_responses.table_reading import noise_of_lines
 from nmt_diagnose.observations.bag_windows import BagWindows

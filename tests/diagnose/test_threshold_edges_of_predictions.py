@@ -30,7 +30,7 @@ from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.location import Explanation, Location
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.ledger import held_out
-from nmt_diagnose.measurements.recorded_decay import reading as decays
+from nmt_diagnose.measurements import recorded_decay as decays
 from nmt_diagnose.measurements.stepped_responses import frequency_sweep as sweeps
 from nmt_diagnose.observations import bag_windows
 from nmt_diagnose.observations.channels.measuring_chain import table_chain

@@ -26,7 +26,7 @@ from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
 from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
 from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
 from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.recorded_decay.recorded_decay import RecordedDecay
+from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
 from nmt_diagnose.say.residual_map import per_observable, residual_map

@@ -1,1 +1,0 @@
-"""Backbones that someone else has reduced."""

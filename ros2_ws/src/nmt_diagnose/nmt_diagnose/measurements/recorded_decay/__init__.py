@@ -1,1 +1,0 @@
-"""Free decays."""

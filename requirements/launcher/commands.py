@@ -101,7 +101,8 @@ def run_tests(state: dict[str, Any], arguments: list[str]) -> int:
     """``test``: pytest on one worker more than there are cores, up to eight; later arguments win.
 
     Tests with nodes wait for half of their time: for processes to start, for the clock. A worker that has nothing to
-    do takes half of what another one still has. Without bytecode each worker would compile every test anew.
+    do takes half of what another one still has. The slowest ten are listed. Without bytecode each worker would compile
+    every test anew.
     """
     from .environment import command_environment
 
@@ -110,8 +111,9 @@ def run_tests(state: dict[str, Any], arguments: list[str]) -> int:
     environment.setdefault("ROS_LOG_DIR", os.path.join(STATE_FOLDER, "ros_log"))
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     workers = ["-n", str(min(len(os.sched_getaffinity(0)) + 1, 8)), "--dist", "worksteal"]
+    slowest = ["--durations=10", "--durations-min=1"]
     os.chdir(ROOT)
-    os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", *workers, *arguments], environment)
+    os.execve(VENV_PYTHON, [VENV_PYTHON, "-m", "pytest", *workers, *slowest, *arguments], environment)
 
 
 def show_version() -> int:

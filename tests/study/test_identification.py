@@ -15,7 +15,7 @@ from nmt_rig.model.assembly import assemble, displacement_output
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.local_elements.springs import CubicSpring
 from nmt_rig.model.time_integration import TimeIntegrator
-from nmt_study import identification
+from nmt_study import identification, nonlinear_subspace
 from nmt_study.nonlinear_subspace import PolynomialStateSpace, Recording, identify
 
 RATE, FINE = 500.0, 10
@@ -79,7 +79,7 @@ def test_what_cannot_be_identified_is_refused() -> None:
 def result(structure: str, off: float) -> dict[str, Any]:
     """A result whose subspace model is off by a share, and whose diagnosis is right."""
     case = next(case for case in identification.cases(False) if case.labels["structure"] == structure)
-    q = np.geomspace(*identification.AMPLITUDES, 5)
+    q = np.geomspace(*nonlinear_subspace.AMPLITUDES, 5)
     reference = {"modal_amplitude": q.tolist(), "omega_rad_s": [120.0] * 5, "damping_ratio": [0.01] * 5}
     wrong = {
         "modal_amplitude": [*q[:4].tolist(), None],

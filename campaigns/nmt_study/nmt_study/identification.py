@@ -20,6 +20,7 @@ from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.quantity_format import significant
 from nmt_report.svg import INK, ReportFigure
 from nmt_study.case import StudyCase
+from nmt_study.nonlinear_subspace import ORDERS, SAMPLE_RATE
 from nmt_study.study import Finding, Result, StudyOutput, StudyTable
 from nmt_study.study_figures import COLOURS, MARKERS, percent
 from nmt_study.study_table import at_amplitude
@@ -30,14 +31,7 @@ METHODS = {
     "subspace": "nonlinear subspace identification (N4SID, w² to w⁵)",
     "diagnosis": "the diagnosis' fitted model",
 }
-POWERS = (2, 3, 4, 5)
-ORDERS = (4, 6, 8)
-SAMPLE_RATE = 500.0
-"""Of the identification, Hz: 25 samples a period of the mode, 5 of its fifth harmonic."""
-AMPLITUDES = (3e-5, 7e-4)
-"""Modal amplitudes q of the backbone, m√kg."""
 BAND_HZ = (10.0, 60.0)
-SWEEP_HZ = (15.0, 25.0)
 _SENSORS = [
     {"quantity": "force", "point": "drive"},
     *({"quantity": "displacement", "point": point} for point in (2, 3, 4, 6)),

@@ -26,8 +26,16 @@ from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_elements, build_structure
 from nmt_study.case import StudyCase
 from nmt_study.case_reference import case_rig
-from nmt_study.identification import AMPLITUDES, ORDERS, POWERS, SAMPLE_RATE, SWEEP_HZ
-from nmt_study.nonlinear_subspace import PolynomialStateSpace, Recording, identify
+from nmt_study.nonlinear_subspace import (
+    AMPLITUDES,
+    ORDERS,
+    POWERS,
+    SAMPLE_RATE,
+    SWEEP_HZ,
+    PolynomialStateSpace,
+    Recording,
+    identify,
+)  # fmt: skip
 
 _HARMONICS = 9
 _AMPLITUDES = 14

@@ -23,6 +23,13 @@ from scipy.signal import lfilter
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
+POWERS = (2, 3, 4, 5)
+ORDERS = (4, 6, 8)
+SAMPLE_RATE = 500.0
+"""Of the identification, Hz: 25 samples a period of the mode, 5 of its fifth harmonic."""
+AMPLITUDES = (3e-5, 7e-4)
+"""Modal amplitudes q of the backbone, m√kg."""
+SWEEP_HZ = (15.0, 25.0)
 BLOCK_ROWS = 20
 MOST_SAMPLES = 2500
 """The library decomposes a matrix of so many rows and columns."""

@@ -2,96 +2,28 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nmt_bench.command_parser import EXIT_DONE
+from nmt_bench.commands.diagnose_options import DiagnoseOptions, DiagnosisProgress
 from nmt_bench.commands.output_folder import OutputFolder, check_output
-from nmt_bench.commands.shared_options import dated_folder_option, jobs_option, replace_option
 from nmt_bench.commands.worker_count import worker_count
 from nmt_core.errors import BenchError
-from nmt_core.options import needed_option, option
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from nmt_diagnose.diagnosis_settings import DiagnosisSettings
     from nmt_diagnose.ledger.diagnosis import Diagnosis
-
+    from nmt_rig.rig import Rig
 
 DIAGNOSIS = "diagnosis.json"
-
-
-@dataclass(frozen=True, kw_only=True)
-class DiagnoseOptions:
-    """Compares a rig file with recordings of the real rig: re-fits the model's own parameters, weighs every effect of
-    the library at every place, and says where the gap lies, which effect causes it and how far it shrinks on data
-    kept out of the fit; or that there is no gap, or that nothing in the library explains it."""
-
-    model: str = needed_option(
-        "name of a rig (for example beam), path of a rig file, or a robot's MJCF or URDF file", metavar="RIG"
-    )
-    real: tuple[Path, ...] = option(
-        (),
-        "results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: "
-        "different "
-        "tests tell more effects apart; of a robot: a log of its joints, or that log's sidecar; further logs test it",
-        metavar="BAG",
-    )
-    group: Path | None = option(
-        None,
-        "in place of --real: CSV table of several units of one type, with the columns recording, unit, and mounting, "
-        "day, repeat where they differ; each is diagnosed, then all together; of a robot beside --real: with the "
-        "columns joint, unit and part, which joints are meant to be alike; several logs are its repeats",
-        metavar="TABLE",
-    )
-    floor: tuple[Path, ...] = option(
-        (),
-        "repeat of a test among --real: what differs between the two no model can explain; may be repeated",
-        metavar="BAG",
-    )
-    set: tuple[str, ...] = option(
-        (), "change a value of the model before the diagnosis; may be repeated", metavar="KEY=VALUE"
-    )
-    without: tuple[str, ...] = option((), "leave an effect out of the library; may be repeated", metavar="EFFECT")
-    hold_out: tuple[str, ...] = option(
-        (),
-        "keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated "
-        "(default: levels and whole tests in turn)",
-        metavar="TEST",
-    )
-    out: Path = dated_folder_option("diagnosis.json, report.html, model.yaml, observables.csv", "diagnose")
-    force: bool = replace_option()
-    seed: int = option(0, "seed of the intervals (default: 0)", metavar="N")
-    calibration: Path | None = option(
-        None,
-        "calibration file with uncertainties of the real sensors' sensitivities (default: what the bags say, "
-        "else"
-        " ordinary tolerances)",
-        metavar="FILE",
-    )
-    allow_own_model: bool = option(
-        False,
-        "take recordings that were simulated from the model itself, too: they show what a rig without a gap looks like",
-    )
-    matters: tuple[str, ...] = option(
-        (),
-        "smallest relative size of a gap that matters, of frequency (default: 0.0005), damping (0.02), "
-        "response "
-        "(0.02) or harmonics over the fundamental (0.001); may be repeated",
-        metavar="KIND=SIZE",
-    )
-    why: tuple[str, ...] = option(
-        (),
-        "say why an explanation, such as cubic_stiffness@3, is stated or not, with the rule that decided; where a "
-        "diagnosis stands in --out it is asked and nothing is computed; may be repeated",
-        metavar="EFFECT@PLACE",
-    )
-    jobs: int | None = jobs_option()
-    quiet: bool = option(False, "no progress display")
 
 
 def run(options: DiagnoseOptions) -> int:
@@ -120,7 +52,6 @@ def run(options: DiagnoseOptions) -> int:
         os.environ.setdefault(variable, "1")
 
     from nmt_bench.commands.console import make_console
-    from nmt_bench.commands.group_diagnosis import diagnose_group
     from nmt_bench.commands.requested_test import command_text
     from nmt_diagnose.diagnose import diagnose_bags
     from nmt_diagnose.diagnosis_settings import DiagnosisSettings
@@ -219,40 +150,45 @@ def _matters(words: Sequence[str]) -> dict[str, float]:
     return found
 
 
-class DiagnosisProgress:
-    """What is being done: one line that changes on a terminal, plain lines elsewhere.
+def diagnose_group(
+    options: DiagnoseOptions, rig: Rig, settings: DiagnosisSettings, console: Console, progress: DiagnosisProgress
+) -> int:
+    """Diagnose several units, write a folder for each and what they say together, print the verdict.
 
-    Args:
-        console: where to show it.
-        quiet: show nothing.
+    Raises:
+        BenchError: the table or a recording cannot be used.
     """
+    from nmt_core.files.whole_file import write_whole
+    from nmt_diagnose.diagnose import diagnose_bags
+    from nmt_diagnose.units.unit_group import UnitDiagnosis, unit_group
+    from nmt_diagnose.units.unit_table import read_unit_table
+    from nmt_report.diagnosis_files import write_diagnosis
+    from nmt_report.group_report import group_page
 
-    def __init__(self, console: Console, quiet: bool = False) -> None:
-        from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
-        self._console, self._quiet = console, quiet
-        self._live = console.is_terminal and not quiet
-        self._progress = Progress(
-            SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=console, transient=True,
-            disable=not self._live,
-        )  # fmt: skip
-        self._task = self._progress.add_task("starting", total=None)
-
-    def __enter__(self) -> DiagnosisProgress:
-        self._progress.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._progress.stop()
-
-    def update(self, sentence: str) -> None:
-        """Show what is being done now."""
-        from rich.markup import escape
-
-        if self._live:
-            self._progress.update(self._task, description=escape(sentence))
-        elif not self._quiet:
-            self._console.print(sentence, soft_wrap=True)
+    assert options.group is not None
+    if options.floor:
+        raise BenchError("--floor belongs to one unit; give its repeats in the table of --group, column repeat.")
+    rows, varied = read_unit_table(options.group)
+    diagnoses, folders = [], []
+    with OutputFolder(options.out, options.force) as folder:
+        for number, row in enumerate(rows, start=1):
+            name = f"{row.unit}{f', {row.setting}' if row.setting else ''}"
+            progress.update(f"{name} ({number} of {len(rows)})")
+            outcome = diagnose_bags(rig, row.recordings, (), settings, progress.update)
+            place = Path(folder) / f"{number}-{re.sub(r'[^A-Za-z0-9]+', '-', name).strip('-')}"
+            place.mkdir()
+            write_diagnosis(outcome, place, options.model, options.set)
+            diagnoses.append(UnitDiagnosis(row.unit, row.setting, outcome.diagnosis))
+            folders.append((name, f"{place.name}/report.html"))
+        group = unit_group(diagnoses, varied)
+        content = {"format": "nmt units 1", "model": str(options.model), "group": group.to_mapping()}
+        write_whole(Path(folder) / "diagnosis.json", json.dumps(content, indent=2, ensure_ascii=False) + "\n")
+        write_whole(Path(folder) / "report.html", group_page(rig.name, rig.description, group, folders))
+    console.print()
+    for sentence in group.sentences:
+        console.print(sentence, markup=False, highlight=False, soft_wrap=True)
+    console.print(f"Report: {(options.out / 'report.html').resolve()}", soft_wrap=True)
+    return EXIT_DONE
 
 
 def show(diagnosis: Diagnosis, console: Console) -> None:

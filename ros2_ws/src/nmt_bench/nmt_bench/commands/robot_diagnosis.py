@@ -14,7 +14,7 @@ from nmt_core.errors import BenchError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from nmt_bench.commands.diagnose_command import DiagnoseOptions
+    from nmt_bench.commands.diagnose_options import DiagnoseOptions
     from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 _ONLY_RIGS = ("floor", "set", "without", "hold_out", "matters", "why", "calibration")
@@ -34,7 +34,7 @@ def diagnose_robot_log(options: DiagnoseOptions) -> int:
         BenchError: an option, the model or the log is refused.
     """
     from nmt_bench.commands.console import make_console
-    from nmt_bench.commands.diagnose_command import DiagnosisProgress
+    from nmt_bench.commands.diagnose_options import DiagnosisProgress
     from nmt_robots.report.robot_files import write_robot_diagnosis
     from nmt_robots.verdict.robot_diagnosis import diagnose_robot_by_logs
 

@@ -111,8 +111,8 @@ def test_a_new_run_may_have_other_harmonics_controlled():
 
 
 def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
-    said: list[str] = []
-    console = SimpleNamespace(print=lambda line, **_: said.append(line))
+    lines: list[str] = []
+    console = SimpleNamespace(print=lambda line, **_: lines.append(line))
 
     async def watch() -> dict[str, Any]:
         origin, _, _ = address.partition("/?")
@@ -127,7 +127,7 @@ def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
         raise AssertionError("the page has ended")
 
     with task_page(True, "Investigation of beam", console) as page:
-        address = said[1].partition(": ")[2]
+        address = lines[1].partition(": ")[2]
         page.step("reading")
         page.step("fitting gap@7")
         page.table(("explanation", "ln"), [("cubic_stiffness@3", "best"), ("gap@7", "12.3 behind")])
@@ -136,4 +136,4 @@ def test_a_command_serves_its_progress_in_a_process_of_its_own() -> None:
     assert head["rows"] == [["cubic_stiffness@3", "best"], ["gap@7", "12.3 behind"]]
     with task_page(False, "none", console) as page:
         page.step("nobody is told")
-    assert len(said) == 2
+    assert len(lines) == 2

@@ -291,8 +291,10 @@ def judged(file: Made) -> tuple[str, list[str]]:
     sidecar = file.path.with_name(f"{file.path.stem}.yaml")
     sidecar.write_text(yaml.safe_dump(values, allow_unicode=True), encoding="utf-8")
     run = read_import(sidecar)  # neither a proposal nor its answers are refused
-    told = run.clock_std * 2.0
-    assert run.sample_rate == pytest.approx(file.rate, rel=max(3e-5, told)), f"{file.path.name}, {file.clock}"
+    twice_the_clock_std = run.clock_std * 2.0
+    assert run.sample_rate == pytest.approx(file.rate, rel=max(3e-5, twice_the_clock_std)), (
+        f"{file.path.name}, {file.clock}"
+    )
     assert run.samples == file.values.size
     channel = run.channels[0]
     factor = dict(UNITS[file.quantity])[file.unit]

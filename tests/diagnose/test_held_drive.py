@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnose.predicted_observations import observations_of_model, real
-from diagnose.predicted_tests import chain
+from diagnose.predicted_tests import chain, noise_test
 from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
@@ -142,3 +142,10 @@ def test_responses_to_a_held_drive_are_those_of_a_first_order_hold() -> None:
     own = np.arange(len(motion))
     found = held_responses(parts.linear, r, stiffness, damping, own, omega, interval)
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9 * np.abs(expected).max())
+
+
+def test_modes_are_looked_for_below_the_images_of_a_held_drive() -> None:
+    test, _ = noise_test(MODEL, 400.0, 600.0, 3)
+    assert np.isfinite(test.modal_lines_hz).all()
+    held = replace(test, lines_hz=np.array([499.0, 501.0, 600.0]), drive_hold_hz=RATE_HZ)
+    np.testing.assert_array_equal(held.modal_lines_hz, [499.0, np.inf, np.inf])

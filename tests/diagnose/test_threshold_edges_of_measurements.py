@@ -181,7 +181,7 @@ def table_is_used(largest_std: float) -> bool:
     line = np.arange(1.0, 4.0)
     table = SimpleNamespace(
         kind=TableKind.FRF, columns={"frequency_hz": line, "coherence": line}, responses=line + 0j, phase_known=False,
-        noise=0.0, column=lambda name: np.full(3, math.nan), level=math.nan,
+        noise=0.0, column=lambda name: np.full(3, math.nan), level=math.nan, reference="force",
     )  # fmt: skip
     together: Any = SimpleNamespace(name="table", tables=[table], settings=Wanted(largest_std))
     return reaches(lambda: response_table_observations(together))
@@ -349,7 +349,9 @@ class Paired(LowLevelModes):
         test: Any = SimpleNamespace(
             name="test", channels=(MOTION, MOTION), drive_point=1, referred_to="", span_s=None
         )  # fmt: skip
+        self._looked.clear()
         self._add(0, test, line, SimpleNamespace(rows=rows, values=values), {})  # type: ignore[arg-type]
+        self.compare()
 
 
 def modelled(log_ratio: float, likeness: float) -> Paired:

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
+from moved_threshold import moved_threshold
 from scipy.stats import chi2, norm
 
 from nmt_diagnose.diagnose import diagnose_observations
@@ -17,6 +18,7 @@ from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.candidate_starts import at_strength
 from nmt_diagnose.fit.explanations import FittedExplanation, Score
+from nmt_diagnose.fit.fitting import best_chain_errors
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.fit.own_chain import OwnChains
@@ -25,6 +27,7 @@ from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
     Size,
     beside_simpler,
+    contradiction,
     implausible_parameters,
     largest_left,
     leaves_something,
@@ -363,3 +366,18 @@ def test_the_weakest_that_would_show_is_reported(name: str) -> None:
     assert row is not None
     assert {row.effect, *row.equivalents} <= WEAK[name]
     assert reported(third) is None
+
+
+def test_what_lines_leave_is_no_noise_however_much_they_scatter() -> None:
+    """A resonance that the model lacks is far beyond the noise that each line brings, and neighbours differ by it."""
+    search, null = searched_model()
+    observations, wanted = search.data.observations, DiagnosisSettings().matters
+    rows, values = observations.rows, observations.values.copy()
+    lines = np.flatnonzero((rows.test == 1) & (rows.part == Part.LOG_MAGNITUDE) & (rows.channel == 1))
+    values[lines] += 0.3 * (-1.0) ** np.arange(lines.size)
+    data = replace(search.data, observations=replace(observations, values=values))
+    errors = best_chain_errors(data, null.fit.prediction.values)
+    scattered = FittedExplanation((), replace(null.fit, errors=errors))
+    assert contradiction(data, scattered, wanted) is not None
+    with moved_threshold("verdict.credible_noise_scale", 1e3):
+        assert contradiction(data, scattered, wanted) is None

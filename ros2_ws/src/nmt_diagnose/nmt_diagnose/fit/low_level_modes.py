@@ -346,9 +346,7 @@ class LowLevelModes:
         for number, test in enumerate(observations.tests):
             if test.modal_lines_hz is not None:
                 self._add(number, test, test.modal_lines_hz, observations, late)
-        self._together = [_Together.of(looked) for looked in self._looked.values()]
-        for together in self._together:
-            self._compare(together)
+        self.compare()
 
     def _add(
         self,
@@ -367,19 +365,26 @@ class LowLevelModes:
             channel = int(rows.channel[row])
             advance = 2.0 * np.pi * rows.frequency_hz[row] * late.get((number, channel), 0.0)
             responses[channel, rows.level[row]] *= np.exp(1j * (observations.values[row] + advance))
+        usable = np.isfinite(lines)
+        lines, responses = lines[usable], responses[:, usable]
         turned = rows.channel[(rows.test == number) & (rows.part == Part.PHASE)]
         kept = (np.isfinite(responses).sum(axis=1) >= THRESHOLDS.modes.fewest_lines) & np.isin(
             np.arange(len(responses)), turned
         )
         model = self.modes(self.rig, test)
-        if model is None or not kept.any():
+        if model is None or not kept.any() or not lines.size:
             return
         self._looked.setdefault(_key(test), []).append(
             _Looked(test, lines, responses[kept], Modes(model.poles, model.shapes[:, kept]))
         )
 
-    def _compare(self, together: _Together) -> None:
+    def compare(self) -> None:
         """Pair the modes that tests show together with those of the model, and keep what is paired and what is not."""
+        self._together = [_Together.of(looked) for looked in self._looked.values()]
+        for together in self._together:
+            self._compare(together)
+
+    def _compare(self, together: _Together) -> None:
         found, model = together.found(), together.model
         if not found.poles.size or not model.poles.size:
             return

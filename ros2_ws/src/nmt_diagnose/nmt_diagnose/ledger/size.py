@@ -179,6 +179,10 @@ def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, flo
     """
     errors = found.fit.errors
     largest = row_scatter(data.observations, errors.values, data.sigma).largest_scale(data.groups.of, len(data.counts))
+    # Each line of a recorded random test brings the noise of its own neighbourhood.
+    recorded = [test.broad_band and np.ptp(test.span_s or (0.0,)) > 0.0 for test in data.observations.tests]
+    of_lines = np.unique(data.groups.of[data.used & np.array(recorded)[data.observations.rows.test]])
+    largest[of_lines] = np.minimum(largest[of_lines], THRESHOLDS.verdict.credible_noise_scale**2)
     weights = np.maximum(errors.weights, 1.0 / largest[data.groups.of])
     left = (errors.residual * np.sqrt(weights))[data.used]
     if not left.size or float(np.sqrt(np.mean(left**2))) <= THRESHOLDS.verdict.left_over_scale:

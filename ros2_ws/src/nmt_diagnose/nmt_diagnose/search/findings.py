@@ -206,7 +206,8 @@ def find(
     return Findings(
         data, search, as_given, null, tuple(named), hypotheses, comparison, explained, best,
         (*modes.disordered, *lacking), scales,
-        tuple(sentence for sentence in modes.sentences if sentence not in lacking), standing.left_out, law,
+        () if MISSING_MODE in best.effects else tuple(it for it in modes.sentences if it not in lacking),
+        standing.left_out, law,
         () if settled else tuple(scores()), beside_best,
     )  # fmt: skip
 

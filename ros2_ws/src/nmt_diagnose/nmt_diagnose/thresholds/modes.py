@@ -21,6 +21,11 @@ class ModeThresholds:
         "The same in two channels of a resonance that the model lacks: a small mass on a spring turns it by less.",
         "tests/diagnose/test_missing_mode.py::test_a_small_mass_on_a_spring_is_a_resonance",
     )  # fmt: skip
+    least_images_share: float = threshold(
+        0.25, "1",
+        "Highest line over the rate of a held drive below which images are smooth and small: at most 11 %.",
+        "tests/diagnose/test_held_drive.py::test_modes_are_looked_for_below_the_images_of_a_held_drive",
+    )  # fmt: skip
     unlike_mac: float = threshold(
         0.3, "1",
         "Modal assurance criterion below which two modes are different.",

@@ -23,6 +23,12 @@ class VerdictThresholds:
         "tests/diagnose/test_what_is_asked.py::"
         "test_evidence_demands_an_effect_although_re_fitted_parameters_leave_less_than_matters",
     )  # fmt: skip
+    credible_noise_scale: float = threshold(
+        10.0, "1",
+        "Scale of the noise of a random test's lines up to which what a model leaves of them may be noise, whatever "
+        "neighbours scatter: a mode that the model lacks makes them scatter, too.",
+        "tests/diagnose/test_what_is_asked.py::test_what_lines_leave_is_no_noise_however_much_they_scatter",
+    )  # fmt: skip
     chance_sigmas: float = threshold(
         3.0, "σ",
         "Standard deviations that chance may take off an effect which the weakest that would show allows for: one in "

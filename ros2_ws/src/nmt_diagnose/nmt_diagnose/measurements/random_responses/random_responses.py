@@ -26,6 +26,7 @@ from nmt_diagnose.prediction.resting_motion import (
     Motion,
     noise_motion,
 )
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import inputs_per_volt
@@ -127,8 +128,9 @@ class RandomResponses(Driven):
 
     @property
     def modal_lines_hz(self) -> FloatArray | None:
-        """Its lines, unless images of a held drive are in them."""
-        return None if math.isfinite(self.drive_hold_hz) else self.lines_hz
+        """Its lines, infinite where images of a held drive are large, which rise towards half its rate."""
+        highest = THRESHOLDS.modes.least_images_share * self.drive_hold_hz
+        return np.where(self.lines_hz < highest, self.lines_hz, np.inf)
 
     @property
     def span_s(self) -> tuple[float, float] | None:

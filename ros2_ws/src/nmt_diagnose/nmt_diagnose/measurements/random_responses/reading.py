@@ -94,15 +94,15 @@ def random_observations(
     middle = 0.5 * (stretch.start_s + stretch.stop_s)
     source = MeasuredChannel("u", Quantity.VOLTAGE, 0) if used.others else reference  # of the view's first exciter
     bias = _bias(view, present, inputs, source, bins, stretch.sample_rate)
-    believed = _believed(view, present, source, lines, estimate)
+    # By neighbours and model: choosing by the line's amplitude would keep those that noise has raised.
+    expected = np.maximum(_of_model(view, present, source, lines, estimate), _of_neighbours(estimate))
     for number, line in enumerate(lines):
         for row in range(len(present)):
             size = abs(estimate[row, number])
             if not size > 0.0:
                 continue
             std = math.sqrt(0.5 * variance[row, number]) / size
-            # By the model's amplitude: choosing by the measured one would keep those that noise has raised.
-            if math.sqrt(0.5 * variance[row, number]) > settings.largest_std * believed[row, number]:
+            if math.sqrt(0.5 * variance[row, number]) > settings.largest_std * expected[row, number]:
                 continue
             place = Place(number, middle, float(line), drive_rms)
             floor = math.hypot(settings.floors.frf, bias[row, number])
@@ -200,7 +200,13 @@ def _named(stretch: SampleStretch, name: str) -> MeasuredChannel | None:
     return next((channel for channel in stretch.channels if channel.name == name), None)
 
 
-def _believed(
+def _of_neighbours(estimate: ComplexArray) -> FloatArray:
+    """Amplitudes that the two lines on either side of each have in the median, shape (channels, lines)."""
+    size, count = np.pad(np.abs(estimate), ((0, 0), (2, 2))), estimate.shape[1]
+    return np.asarray(np.median([size[:, shift : shift + count] for shift in (0, 1, 3, 4)], axis=0))
+
+
+def _of_model(
     view: ModelView,
     channels: list[MeasuredChannel],
     source: MeasuredChannel,

@@ -127,11 +127,11 @@ def require_base(together: TablesTogether) -> None:
     Raises:
         BenchError: what exciter to write.
     """
-    rig, point = together.view.rig, together.channels[0].point
-    if together.tables[0].reference == "base" and not isinstance(rig.exciter, ShakingTableSection):
+    if together.tables[0].reference == "base" and not isinstance(together.view.rig.exciter, ShakingTableSection):
+        point = together.channels[0].point
         raise BenchError(
             f"{together.name}: its responses are over the acceleration of the base, but the exciter of the model "
-            f"{rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {point}}}."
+            f"{together.view.rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {point}}}."
         )
 
 

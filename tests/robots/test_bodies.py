@@ -68,8 +68,8 @@ def test_a_changed_link_is_always_a_possible_body() -> None:
         parts = [moved_body((1.2, centre + 0.1, 0.3 * moments), centre, numbers)]
         parts.append(moved_body((0.8, centre - 0.15, moments), centre, numbers))
         together = sum(parameters_of(*part) for part in parts)
-        whole = parameters_of(1.2, centre + 0.1, 0.3 * moments) + parameters_of(0.8, centre - 0.15, moments)
-        assert together == pytest.approx(whole + BodyShape(whole, 0.4).change(numbers), abs=1e-9)
+        total = parameters_of(1.2, centre + 0.1, 0.3 * moments) + parameters_of(0.8, centre - 0.15, moments)
+        assert together == pytest.approx(total + BodyShape(total, 0.4).change(numbers), abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.text.number_words import percent, value_text
-from nmt_robots.bodies.body_choice import BOTH, EVERY, BodyEvidence, Choice, Explanation, Weighed
+from nmt_robots.bodies.body_choice import EVERY, BodyEvidence, Choice, Explanation, Weighed
 from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, across, body_rows, free_spread, whitened
 from nmt_robots.bodies.body_shape import moved_body
 from nmt_robots.bodies.robot_parts import Part, last_links, parts_of
@@ -30,6 +30,8 @@ _RISES = 3.0
 """ln evidence by which a further link has to be better."""
 _SAME = 3.0
 """Standard uncertainties within which the mass of a part is that which its link lacks."""
+_SAME_SHARE, _AS_MUCH = 0.2, 0.9
+"""The same as a share of its mass; and what it has to explain of the evidence that the link explains, set free."""
 _MISFIT = 3.0
 """Pull of a tolerance, in standard deviations, from which the bodies are not as in the file for sure."""
 _IMPLAUSIBLE = 3.5
@@ -199,13 +201,15 @@ class _Asked:
             numbers, std, _ = best.of_link(link)
             mass = evidence.shapes[link].mass
             lacking, loose = mass * (1.0 - np.exp(numbers[0])), mass * np.exp(numbers[0]) * std[0]
+            others = tuple(item for item in explanation.wide if item[0] != link)
+            without = evidence.weigh(Explanation("several", others)).evidence
             for place, part in enumerate(self._parts):
-                if part.link != link or abs(part.mass - lacking) > _SAME * loose or lacking < 2.0 * loose:
+                apart = abs(part.mass - lacking)
+                if part.link != link or apart > max(_SAME * loose, _SAME_SHARE * part.mass):
                     continue
-                others = tuple(item for item in explanation.wide if item[0] != link)
+                # Nothing is free in a part that is off: it need not explain as much as a link with ten numbers.
                 trial = evidence.weigh(Explanation("part", others, off=place))
-                alone = evidence.weigh(Explanation("link", ((link, BOTH),)))
-                if others or trial.evidence > alone.evidence - _RISES * 5.0:
+                if trial.evidence - without > _AS_MUCH * (best.evidence - without):
                     return trial
         if explanation.kind != "all":
             return best

@@ -15,8 +15,8 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not te
 from nmt_robots.bodies.body_finding import BodyFinding, body_finding
 from nmt_robots.bodies.body_shape import SHAPE, BodyShape, moved_body
 from nmt_robots.log.joint_log import JointLog
-from nmt_robots.model.links import LinkMotion, parameters_of, split_parameters
-from nmt_robots.model.robot_model import RobotModel
+from nmt_robots.model.links import LinkMotion, in_frame_of, parameters_of, split_parameters
+from nmt_robots.model.robot_model import BodyChange, RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
 from nmt_robots.verdict.robot_diagnosis import diagnose_robot
 
@@ -49,6 +49,26 @@ def test_columns_of_links_make_the_torque_of_lagrange(tmp_path: Path) -> None:
         torque[:, joint] += columns @ motion.links[link].parameters
     assert torque == pytest.approx(expected, abs=1e-5 * np.max(np.abs(expected)))
     assert torque == pytest.approx(model.torque(model.names, q, v, a), abs=1e-9)
+
+
+def test_a_changed_body_has_the_torque_of_its_parameters(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    path = tmp_path / "leg.urdf"
+    path.write_text(urdf_of(chain("leg", rng), np.zeros(3), np.zeros(3)))
+    model = RobotModel(path)
+    q, v, a = rng.standard_normal((3, 8, 3))
+    turned = rng.standard_normal((3, 3))
+    change = BodyChange(3, 0.7, np.array([0.02, 0.03, -0.1]), 0.01 * (turned @ turned.T + np.eye(3)))
+    motion = LinkMotion(model, model.names, q, v, a)
+    link = next(number for number, item in enumerate(motion.links) if item.root == 3)
+    other, data = model.at_rest()
+    before = in_frame_of(other, data, 3, 3)
+    more = parameters_of(change.mass, change.centre, change.inertia) - before
+    expected = model.torque(model.names, q, v, a)
+    for joint in range(3):
+        expected[:, joint] += motion.columns(GRAVITY)[joint, link] @ more
+    found = model.with_bodies([change])
+    assert found.torque(model.names, q, v, a) == pytest.approx(expected, abs=1e-9)
 
 
 def test_a_changed_link_is_always_a_possible_body() -> None:

@@ -147,6 +147,8 @@ class RobotModel:
             self._mujoco.mju_mat2Quat(turn, axes.ravel())
             model.body_mass[item.body], model.body_ipos[item.body] = item.mass, item.centre
             model.body_inertia[item.body], model.body_iquat[item.body] = moments, turn
+            # Else the frame of the inertia is taken for that of the body where the file has it so.
+            model.body_sameframe[item.body] = 0
         if self.changed_gravity is not None:
             model.opt.gravity[:] = self.changed_gravity
 

@@ -71,16 +71,16 @@ class ElementStructure:
 
 
 def _points_that_tell_modes_apart(mass: Any, stiffness: Any, rows: NDArray[np.int64]) -> tuple[int, int]:
-    """Node where each of three low modes moves most, and one that tells the first two of them apart.
+    """Node where the first mode moves most of those that move in the second, and one that tells the two apart.
 
     Near an edge or a nodal line the static deflection about the drive hides the mode: phase resonance lies elsewhere.
     """
     n = mass.shape[0]
-    shapes = eigh(mass.toarray(), stiffness.toarray(), subset_by_index=[n - min(n, 3), n - 1])[1][:, ::-1]
+    shapes = eigh(mass.toarray(), stiffness.toarray(), subset_by_index=[n - 2, n - 1])[1][:, ::-1]
     shapes = shapes[rows[:, 1] == 3]
     nodes = rows[rows[:, 1] == 3, 0]
     shares = np.abs(shapes) / np.abs(shapes).max(axis=0)
-    drive = int(np.argmax(shares.min(axis=1)))
+    drive = int(np.argmax(np.where(shares[:, 1] > 0.3, shares[:, 0], 0.0)))
     first, second = shapes[:, 0], shapes[:, 1]
     other = int(np.argmax(np.abs(first[drive] * second - first * second[drive])))
     return int(nodes[drive]), int(nodes[other])

@@ -13,6 +13,8 @@ from nmt_diagnose.ledger.diagnosis import Gap, Recalibrated, Verdict
 from nmt_diagnose.observations.observables import Observations, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
+_LISTED_PARAMETERS = 3
+
 
 def warned(
     verdict: Verdict,
@@ -44,10 +46,16 @@ def warned(
         for item, value in zip(calibration, theta, strict=True)
         if abs(value) > THRESHOLDS.comparison.credible_sigmas
     ]
-    for item, value in sorted(far, key=lambda pair: -abs(pair[1])) if verdict is not Verdict.NONE else ():
+    if far and verdict is not Verdict.NONE:
+        far.sort(key=lambda pair: -abs(pair[1]))
+        moves = [
+            f"{item.name} from {item.start:.4g} to {item.to:.4g} {item.unit} ({abs(value):.1f} standard deviations)"
+            for item, value in far[:_LISTED_PARAMETERS]
+        ]
+        others = f" and {len(far) - len(moves)} more parameters as far" if len(far) > len(moves) else ""
         found.append(
-            f"The fit moves {item.name} from {item.start:.4g} to {item.to:.4g} {item.unit}, {abs(value):.1f} standard "
-            "deviations of what is believed of it: check it, or something else hides behind it."
+            f"The fit moves parameters further than their tolerances: {'; '.join(moves)}{others}. "
+            "Check them, or something else hides behind them."
         )
     for member in alike if verdict is Verdict.EFFECT else ():
         found += _beyond_physics(member)

@@ -20,6 +20,7 @@ KERNELS = [
     (locked_windows, "newton"),
     (locked_windows, "advance"),
     (random_responses, "linear_responses"),
+    (random_responses, "sensor_gains"),
     (random_responses, "windowed"),
     (stepped_responses, "solve_lines"),
     (stepped_responses, "advance"),

@@ -39,7 +39,7 @@ def test_nothing_to_mind_is_not_mentioned() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_parameter_that_nobody_would_believe(sign: float) -> None:
     (sentence,) = warned(Verdict.EFFECT, best(4.0 * sign), (MASS,), GAP)
-    assert "structure.masses_kg.0 from 0.5 to 0.52 kg, 4.0 standard deviations" in sentence
+    assert "structure.masses_kg.0 from 0.5 to 0.52 kg (4.0 standard deviations)" in sentence
 
 
 def test_a_fit_that_stopped_early() -> None:

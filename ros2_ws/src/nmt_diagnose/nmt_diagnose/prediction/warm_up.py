@@ -45,10 +45,11 @@ def warm_up_predictions(rig: Rig) -> None:
             "stepped", point, (response,), "force", "force", np.array([20.0]), np.array([0.1]),
             np.array([[1e-4 + 0j]]), np.array([0.01]),
         ),
+        RandomResponses("lines", point, both, "force", np.array([20.0, 21.0]), 1.0, "none", 0.1, 0.0, 1.0),
     )  # fmt: skip
     parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.PHASE, Part.SAMPLE, Part.SAMPLE,
-             Part.LOG_MAGNITUDE)  # fmt: skip
-    of_test = np.array([0, 1, 2, 2, 3, 4, 5])
+             Part.LOG_MAGNITUDE, Part.LOG_MAGNITUDE)  # fmt: skip
+    of_test = np.array([0, 1, 2, 2, 3, 4, 5, 6])
     zero, none = np.zeros(len(parts), dtype=np.int64), np.zeros(len(parts))
     rows = Rows(of_test, zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
     forward = Forward(tests, rows)

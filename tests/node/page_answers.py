@@ -247,7 +247,7 @@ def cubic_is_investigated(folder: Path) -> None:
 def recordings_at_hand(folder: Path) -> None:
     """A linear test and levels of the guide's rig, which the page takes for granted."""
     the_rig_of_the_guide(folder)
-    for words in ("linear real.yaml --out out/linear", "run real.yaml --levels 0.05:0.5:5 --out out/levels"):
+    for words in ("linear real.yaml --out out/linear", "run real.yaml --levels 0.05:1.5:5 --out out/levels"):
         subprocess.run([str(PAGES / "nmt"), *words.split(), "--quiet"], cwd=folder, capture_output=True, check=True)
 
 

@@ -344,7 +344,7 @@ def weakest_of_each() -> dict[str, tuple[Rig, Rig]]:
     return rigs
 
 
-WEAK = {"channel_skew": {"channel_skew", "low_pass", "drive_hold"}, "amplitude_damping": {"amplitude_damping"}}
+WEAK = {"force_factor_asymmetric": {"force_factor_asymmetric"}, "amplitude_damping": {"amplitude_damping"}}
 
 
 @pytest.mark.parametrize("name", WEAK)
@@ -381,3 +381,15 @@ def test_what_lines_leave_is_no_noise_however_much_they_scatter() -> None:
     assert contradiction(data, scattered, wanted) is not None
     with moved_threshold("verdict.credible_noise_scale", 1e3):
         assert contradiction(data, scattered, wanted) is None
+
+
+def test_what_a_sensor_adds_and_does_not_matter_is_not_what_the_model_lacks() -> None:
+    found = observations_of_model(MODEL, seed=3, drives=(0.1, 0.2, 0.4, 0.8, 1.6))
+    late = (found.rows.channel == 2) & (found.rows.part == Part.PHASE)
+    values = found.values - np.where(late, 4e-5 * 2.0 * np.pi * found.rows.frequency_hz, 0.0)
+    diagnosis = diagnose_observations(
+        MODEL, replace(found, values=values), DiagnosisSettings(look_ahead=False)
+    ).diagnosis
+    assert diagnosis.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+    assert diagnosis.too_small is None
+    assert not any("The model lacks" in sentence for sentence in diagnosis.sentences)

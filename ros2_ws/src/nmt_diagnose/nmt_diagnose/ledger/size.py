@@ -300,7 +300,12 @@ def beside_simpler(
 
 
 def is_demanded(found: FittedExplanation, null: FittedExplanation) -> bool:
-    """Whether the rows demand the effects of an explanation beside the model alone, whatever these change."""
+    """Whether the rows demand the effects of an explanation beside the model alone, whatever these change.
+
+    What a sensor adds that does not matter is a question of its calibration and never demanded.
+    """
+    if any(candidate.site.location.kind in _SENSORS for candidate in found.candidates):
+        return False
     needs = (found.beside.get(number, Facts(left_without=0.0)) for number in range(len(found.candidates)))
     surely = found.fit.log_evidence - null.fit.log_evidence >= THRESHOLDS.verdict.sure_log_evidence
     return surely and all(pass_all((NEEDED, WITHIN), facts) for facts in needs)

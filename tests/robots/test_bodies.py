@@ -131,7 +131,7 @@ def without_foot(tmp_path_factory: pytest.TempPathFactory) -> tuple[Any, Path]:
 
 def test_what_is_not_mounted_heads_the_answer(without_foot: tuple[Any, Path]) -> None:
     diagnosis, folder = without_foot
-    assert diagnosis.verdict.startswith("Foot of the file")
+    assert diagnosis.verdict.startswith("The part foot of the file")
     assert all(joint.terms[0].key == "bodies" for joint in diagnosis.joints if joint.differs)
     assert sum(joint.differs for joint in diagnosis.joints) >= 2
     for joint in diagnosis.joints:
@@ -171,6 +171,6 @@ def test_the_hand_of_a_real_arm_is_not_mounted(data_folder: Path) -> None:
     if urdf is None:
         pytest.skip("the URDF of the arm is not installed: pip install example-robot-data")
     diagnosis = diagnose_robot(urdf, data_folder / "robots/panda/log.npz")
-    assert diagnosis.verdict.startswith("Panda_hand with 2 more of the file (0.76 kg) is not mounted")
+    assert diagnosis.verdict.startswith("The part panda_hand with 2 more of the file (0.76 kg) is not mounted")
     assert diagnosis.bodies is not None
     assert np.all(diagnosis.bodies.after[:6] < 0.5 * diagnosis.bodies.before[:6])

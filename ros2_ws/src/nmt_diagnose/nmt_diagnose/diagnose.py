@@ -149,7 +149,7 @@ def observed(
 def _detectable(
     search: Search, base: FittedExplanation, scores: Sequence[Score], rig: Rig
 ) -> tuple[DetectableEffect, ...]:
-    """The weakest that each effect could be and still be reported beside a fit, where it shows first."""
+    """Smallest strength of each effect on top of a fit that would be reported, at the place where it shows first."""
     strongest: dict[str, Score] = {}
     for score in scores:
         name = search.candidates[score.candidate].effect.name

@@ -162,7 +162,7 @@ def _kept(
         residues.append(pairs[:, 0] + 1j * pairs[:, 1])
         parts = np.einsum("kjc,jc->kj", every, pairs)
         others = found[-2] + 1j * poles.imag * found[-1]
-        # At an antiresonance their sum is zero, and any pole would be large beside it; two channels have it elsewhere.
+        # At an antiresonance the sum is zero and any pole is a large share of it; two channels have it at other lines.
         squares = (
             np.abs(parts.sum(axis=1) + others) ** 2 if local else np.sum(np.abs(parts) ** 2, axis=1) + abs(others) ** 2
         )

@@ -300,7 +300,7 @@ def beside_simpler(
 
 
 def is_demanded(found: FittedExplanation, null: FittedExplanation) -> bool:
-    """Whether the rows demand the effects of an explanation beside the model alone, whatever these change.
+    """Whether the evidence demands the effects of an explanation, however little these change.
 
     What a sensor adds that does not matter is a question of its calibration and never demanded.
     """

@@ -186,7 +186,7 @@ class Measurement:
 
     @property
     def modal_lines_hz(self) -> FloatArray | None:
-        """Lines of responses in which modes are looked for, Hz, infinite where they are not; None of other kinds."""
+        """Lines of responses that identify modes, Hz, infinite where they do not; None for other kinds."""
         return None
 
     @property

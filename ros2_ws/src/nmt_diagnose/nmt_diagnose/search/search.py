@@ -129,7 +129,7 @@ class Search:
         return sorted(result, key=lambda score: -score.gain)
 
     def _metric(self, base: FittedExplanation) -> tuple[Metric, FloatArray]:
-        """Projection beside parameters and chain of a fit, and the precision of their priors."""
+        """Projection that takes out parameters and chain of a fit, and the precision of their priors, (n,)."""
         fitted = base.fit
         chain = fitted.errors.slopes
         # The prior of a strength must not hold back what the data say: it would look like something else.
@@ -139,10 +139,18 @@ class Search:
         return Metric(np.column_stack([fitted.jacobian, chain]), precision, fitted.errors.weights), precision
 
     def reported_from(self, base: FittedExplanation, scores: Sequence[Score]) -> list[float]:
-        """Strengths from which the evidence of effects would be sure, had they acted beside a fit.
+        """Smallest strengths at which effects would be reported, had they acted in addition to a fit.
 
-        A group of rows that learns its noise takes what is missing for noise first, so that the fall of its cost
-        grows more slowly than the square of the strength. Priors of strength and shapes cost evidence, and chance may.
+        A group of rows that estimates its own noise takes a small effect for noise: its cost falls more slowly than
+        with the square of the strength. The priors of strength and shape parameters cost evidence; a margin is kept
+        for chance.
+
+        Args:
+            base: the fit.
+            scores: of the effects on top of it.
+
+        Returns:
+            Strengths in the units of θ, one for each score.
         """
         if not scores:
             return []

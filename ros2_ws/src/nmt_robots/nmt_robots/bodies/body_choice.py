@@ -35,7 +35,7 @@ _STEPS = 12
 _LONGEST = 3.0
 _SETTLED = 1e-3
 _PAYLOAD_SIZES = (0.03, 0.15, 0.5)
-"""Masses from which a payload is looked for, as shares of the mass of the last links."""
+"""Masses at which the fit of a payload starts, as shares of the mass of the last links."""
 _PAYLOAD_SPREAD = 1.5
 _NAMED, _TOGETHER = 0.9, 0.95
 """Probability of one subject that is named, and of several that cannot be told apart."""

@@ -304,7 +304,7 @@ class _Asked:
         if explanation.off >= 0:
             part = self._parts[explanation.off]
             further = f", and the body of {_listed(names)} differs" if names else ""
-            return f"{part.words} of the file ({part.mass:.3g} kg) is not mounted{further}"
+            return f"the part {part.words} of the file ({part.mass:.3g} kg) is not mounted{further}"
         if explanation.end >= 0:
             return f"payload on {self._link_name(explanation.end)} that is not in the file"
         if explanation.joint >= 0:

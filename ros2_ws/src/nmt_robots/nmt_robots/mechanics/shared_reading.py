@@ -60,7 +60,7 @@ class ReadingScores:
         return np.asarray(np.any(((lags == low) | (lags == high)) & (np.abs(lags) > 0.5 * LONGEST_S), axis=1))
 
     def _doubtful(self) -> Array:
-        """R: whether something is far early, which few loggers make, and yet does not explain most of what is over."""
+        """R: whether a signal is far early, which few loggers make, without explaining most of the remaining torque."""
         early = np.array([min(item.command_lag_s, item.torque_lag_s) < -_EARLY_S for item in self.readings])
         usual = float(np.min(self.relative[~early])) if np.any(~early) else np.inf
         return early & (self.relative > _EXPLAINS_MOST * usual)

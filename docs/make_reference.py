@@ -380,28 +380,28 @@ def _message_part(text: str) -> str:
         kind, rest = code.split(None, 1)
         if "=" in rest:
             label, value = (piece.strip() for piece in rest.split("="))
-            constants.append(f"| `{label}` | {value} | {_cell(comment)} |")
+            constants.append(f"`{label}` = {value}" + (f" ({comment})" if comment else ""))
         else:
-            rows.append(f"| `{rest}` | {kind} | {_cell(comment)} |")
+            rows.append(f"* `{kind} {rest}`" + (f": {comment}" if comment else ""))
     blocks = [" ".join(heading)] if heading else []
     if constants:  # first, as in the file: comments speak of "the constants above"
-        blocks.append("\n".join(["| constant | value | meaning |", "|---|---|---|", *constants]))
+        blocks.append("Constants: " + ", ".join(constants) + ".")
     if rows:
-        blocks.append("\n".join(["| field | type | unit, meaning |", "|---|---|---|", *rows]))
+        blocks.append("\n".join(rows))
     return "\n\n".join(blocks)
 
 
 def parameters_table(name: str) -> str:
     """Parameters of a node, or ``common`` for those that all nodes have. Needs ROS 2."""
     from nmt_core.nodes.node_settings import NodeSettings
-    from nmt_core.nodes.parameters import markdown_table
+    from nmt_core.nodes.parameters import markdown_list
     from nmt_core.settings import parameters_of
 
     common = parameters_of(NodeSettings)
     if name == "common":
-        return markdown_table(common)
+        return markdown_list(common)
     module, _, kind = NODE_SETTINGS[name].partition(":")
-    return markdown_table(
+    return markdown_list(
         item for item in parameters_of(getattr(importlib.import_module(module), kind)) if item not in common
     )
 
@@ -446,16 +446,14 @@ def elements_table(name: str) -> str:
 
 def _section_table(model: Any, base: Any, meanings: dict[str, str]) -> str:
     inherited = base.model_fields if issubclass(model, base) and model is not base else ()
-    lines = ["| key | type | unit | range | default | meaning |", "|---|---|---|---|---|---|"]
+    lines = []
     for key, field in model.model_fields.items():
         if key in inherited:
             continue
         kind, bounds = _type_and_range(key, field)
         value = field.get_default(call_default_factory=True)
-        default = "required" if field.is_required() else _default(value)
-        lines.append(
-            f"| `{key}` | {kind} | {_unit(key)} | {bounds} | {default} | {_cell(meanings[key].replace('``', '`'))} |"
-        )
+        facts = (kind, _unit(key), bounds, "required" if field.is_required() else _default(value))
+        lines.append(f"* `{key}` ({', '.join(filter(None, facts))}): {meanings[key].replace('``', '`')}")
     return "\n".join(lines)
 
 
@@ -475,16 +473,15 @@ def keys_table(name: str) -> str:
     model = getattr(importlib.import_module(module), kind)
     meanings = _attributes(model)
     fields = getattr(model, "model_fields", {})
-    lines = (
-        ["| key | type | default | meaning |", "|---|---|---|---|"] if fields else ["| key | meaning |", "|---|---|"]
-    )
+    lines = []
     for key, meaning in meanings.items():
-        cells = [f"`{key}`"]
+        facts = ""
         if fields:
             kinds, bounds = _type_and_range(key, fields[key])
             value = fields[key].get_default(call_default_factory=True)
-            cells += [f"{kinds} {bounds}".strip(), "required" if fields[key].is_required() else _default(value)]
-        lines.append(f"| {' | '.join(cells)} | {_cell(meaning.replace('``', '`'))} |")
+            default = "required" if fields[key].is_required() else _default(value)
+            facts = f" ({', '.join(filter(None, (kinds, bounds, default)))})"
+        lines.append(f"* `{key}`{facts}: {meaning.replace('``', '`')}")
     return "\n".join(lines)
 
 
@@ -508,7 +505,7 @@ def options_table(name: str) -> str:
 
 
 def _option_lines(command: argparse.ArgumentParser) -> list[str]:
-    lines = ["| argument | meaning |", "|---|---|"]
+    lines = []
     for action in command._actions:
         if action.help == argparse.SUPPRESS:
             continue
@@ -518,7 +515,7 @@ def _option_lines(command: argparse.ArgumentParser) -> list[str]:
         words = ", ".join(action.option_strings)
         shown = f"{words} {value}".strip() if words and action.nargs != 0 else words or value or action.dest
         need = " **Required.**" if action.required and words else ""
-        lines.append(f"| `{_cell(shown)}` | {_cell((action.help or '').replace('%%', '%'))}{need} |")
+        lines.append(f"* `{shown}`: {(action.help or '').replace('%%', '%')}{need}")
     return lines
 
 
@@ -557,13 +554,9 @@ def effects_table(place: str) -> str:
 
 def priors_table(name: str) -> str:
     """Priors of the calibration parameters."""
-    from nmt_core.key_units import unit_of_key
     from nmt_core.tolerances import MODEL_PRIORS
 
-    lines = ["| key | unit | relative standard deviation | because |", "|---|---|---|---|"]
-    for key, (std, reason) in MODEL_PRIORS.items():
-        lines.append(f"| `{key}` | {unit_of_key(key)} | {100 * std:g} % | {_cell(reason)} |")
-    return "\n".join(lines)
+    return "\n".join(f"* `{key}` ± {100 * std:g} %: {reason}" for key, (std, reason) in MODEL_PRIORS.items())
 
 
 def quantities_table(name: str) -> str:
@@ -601,11 +594,12 @@ def thresholds_table(theme: str) -> str:
     record: Any = others.get(first, THRESHOLDS)
     for name in names if first in others else [first, *names]:
         record = getattr(record, name)
-    lines = ["| threshold | value | unit | because |", "|---|---|---|---|"]
+    lines = []
     for name, holder, field in thresholds_of(record):
         value = getattr(holder, name)
         text = ", ".join(f"{item:g}" for item in (value if isinstance(value, tuple) else (value,)))
-        lines.append(f"| `{name}` | {text} | {_cell(field.metadata['unit'])} | {_cell(field.metadata['reason'])} |")
+        unit = field.metadata["unit"]
+        lines.append(f"* `{name}` = {text}{'' if unit == '1' else f' {unit}'}: {field.metadata['reason']}")
     return "\n".join(lines)
 
 

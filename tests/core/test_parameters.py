@@ -7,7 +7,7 @@ import math
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_core.nodes.parameters import Parameter, markdown_table
+from nmt_core.nodes.parameters import Parameter, markdown_list
 
 TABLE = (
     Parameter("rate", 10.0, "Hz", "A rate.", low=1.0, high=100.0),
@@ -73,7 +73,7 @@ def test_lists_of_the_wrong_kind_are_refused(given):
 
 
 def test_markdown_has_a_line_for_each_parameter():
-    lines = markdown_table(TABLE).splitlines()
-    assert len(lines) == 2 + len(TABLE)
-    assert lines[2] == "| `rate` | `10.0` | Hz | ≥ 1 ≤ 100 | A rate. |"
-    assert lines[5] == "| `pacing` | `'lockstep'` |  | lockstep, realtime | A choice. |"
+    lines = markdown_list(TABLE).splitlines()
+    assert len(lines) == len(TABLE)
+    assert lines[0] == "* `rate` (`10.0`, Hz, ≥ 1 ≤ 100): A rate."
+    assert lines[3] == "* `pacing` (`'lockstep'`, lockstep or realtime): A choice."

@@ -84,12 +84,13 @@ def _of_kind(value: Any, kind: type, where: str) -> Any:
     return value
 
 
-def markdown_table(table: Iterable[Parameter]) -> str:
-    """The parameters as a Markdown table for the reference documentation."""
-    lines = ["| parameter | default | unit | range | meaning |", "|---|---|---|---|---|"]
+def markdown_list(table: Iterable[Parameter]) -> str:
+    """The parameters as a Markdown list for the reference documentation."""
+    lines = []
     for item in table:
         low = "" if item.low is None else f"≥ {item.low:g}"
         high = "" if item.high is None else f"≤ {item.high:g}"
-        bounds = ", ".join(item.choices) or " ".join(part for part in (low, high) if part)
-        lines.append(f"| `{item.name}` | `{item.default!r}` | {item.unit} | {bounds} | {item.description} |")
+        bounds = " ".join(filter(None, (" or ".join(item.choices), low, high)))
+        facts = ", ".join(filter(None, (f"`{item.default!r}`", item.unit, bounds)))
+        lines.append(f"* `{item.name}` ({facts}): {item.description}")
     return "\n".join(lines)

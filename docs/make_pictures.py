@@ -157,6 +157,7 @@ def draw_harmonics(without: Path, controlled: Path, target: Path) -> None:
 
 
 # Picture: results folder, height of the shown part, and the command that makes the folder beside the others.
+EXAMPLES = DOCS.parent / "examples"
 HEAVY = "structure.added_masses=[{point: 5, mass_kg: 0.004}]"
 BOTH = ("--refine", "0.0005", "--direction", "both")
 LIGHT = "structure.damping_factors=[0.2,0.2,0.2]"
@@ -203,6 +204,21 @@ REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
         1150,
         ("investigate", "beam", "--rig", "beam", *NOISY, "--jobs", "1"),
     ),
+    "differ_bench": (
+        "differ_bench",
+        610,
+        ("diagnose", "--model", f"{EXAMPLES}/bench/one_mode.yaml", "--real", "measured_bench"),
+    ),
+    "differ_robot": (
+        "differ_robot",
+        1400,
+        ("diagnose", "--model", f"{EXAMPLES}/robot/arm.xml", "--real", f"{EXAMPLES}/robot/log.npz"),
+    ),
+    "differ_strip": (
+        "differ_strip",
+        610,
+        ("diagnose", "--model", f"{EXAMPLES}/strip/strip.yaml", "--real", "measured_strip"),
+    ),
     "study": ("study", 1000, ("study", "exciter_location", "--quick")),
     "identification": ("identification", 1150, ("study", "identification")),
 }
@@ -211,6 +227,10 @@ REPORTS: dict[str, tuple[str, int, tuple[str, ...]]] = {
 def make_results(base: Path) -> None:
     """Run the commands whose folders are not there, in the order of the table."""
     base.mkdir(parents=True, exist_ok=True)
+    for name in ("bench", "strip"):
+        if not (base / f"measured_{name}").exists():
+            words = ("import", f"{EXAMPLES}/{name}/measured.yaml", "--out", f"measured_{name}")
+            subprocess.run([sys.executable, "-m", "nmt_bench", *words], cwd=base, check=True)
     for folder, _, words in REPORTS.values():
         if not (base / folder / "report.html").exists():
             shutil.rmtree(base / folder, ignore_errors=True)

@@ -23,7 +23,9 @@ import re
 import sys
 import types
 import typing
+from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -43,10 +45,10 @@ NODE_SETTINGS = {
 # What the keys of a rig file mean; units and ranges come from the models.
 RIG_MEANINGS: dict[str, dict[str, str]] = {
     "StopInputSection": {
-        "port": "physical channel, beside those of the sensors",
+        "port": "physical channel that no sensor uses",
         "range_v": "full scale of the port",
         "threshold_v": "level at which the line asks for zero",
-        "stops": "below or above the threshold; `low` also for a cut cable, with a resistor to ground",
+        "stops": "below or above the threshold; `low` also detects a cut cable, with a resistor to ground",
     },
     "OutputPortSection": {
         "channel": "name",
@@ -58,7 +60,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "channel": "name of the sensor",
         "port": "number from 1 (PortAudio) or physical channel (NI)",
         "range_v": "full scale of the port",
-        "sensitivity_v": "volts at the port for one unit of the sensor: V/N, V per m/s²",
+        "sensitivity_v": "volts at the port per unit of the sensor: V/N, V per m/s²",
         "uncertainty": "standard, relative, of the sensitivity, from the calibration sheet",
         "calibrated": "date of that sheet",
         "serial": "of the sensor",
@@ -67,39 +69,37 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "Rig": {
         "device": "converter and channel map; left out = the rig is simulated",
-        "name": "name of the rig: a letter, then letters, digits and underscores; goes into `frame_id`, "
-        "run ids and reports",
+        "name": "name: a letter, then letters, digits and underscores",
         "description": "one line for people",
         "assumptions": "sentences on what is not known for certain; kept in the bag",
         "seed": "seed of all noise of the simulation",
         "sample_rate_hz": "sampling rate of every channel",
-        "block_samples": "samples a message; left out: chosen where a simulated test holds phase resonance, else 200",
+        "block_samples": "samples a message; left out = [chosen](../explanation/phase-locked-loop.md#block-length), "
+        "else 200",
         "substeps": "steps of the time integration per sample",
         "structure": "the linear structure, by `kind`",
         "local_elements": "nonlinear or additional elements, each by `kind`",
         "exciter": "what drives the structure, by `kind`; of several exciters the first",
-        "exciters": "several exciters in place of `exciter`, the reference of amplitude and phase first",
+        "exciters": "several exciters instead of `exciter`, the reference first",
         "sensors": "channels; at least the force and one response",
         "limits": "amplitudes that end a test",
         "watchdog": "what happens when drive commands stop",
         "test": "defaults of `./nmt run`",
         "extraction": "what the modal properties are computed from",
-        "pll": "settings of the loop by name, see [parameters](parameters.md#pll), and `loop: adaptive` or "
-        "`paper`; empty = derived from the linear modes",
-        "coordinate": "what the structure's coordinates are; `angle`: in every key rad stands for m, N·m for N, kg·m² "
-        "for kg. The diagnosis takes it from its recordings",
-        "clock_error": "relative error e of the clock: real rates are (1 + e) times the nominal, so whatever happens "
-        "at f appears at f / (1 + e)",
+        "pll": "[settings of the loop](parameters.md#pll) and `loop: adaptive` or `paper`; empty = derived from the "
+        "linear modes",
+        "coordinate": "`angle`: every key has rad for m, N·m for N, kg·m² for kg; the diagnosis takes it from its "
+        "recordings",
+        "clock_error": "relative error e of the clock: real rates are (1 + e) times the nominal",
         "drift": "slow changes with bench time",
         "recording": "a smaller bag: samples rounded, chunks compressed; without the section neither",
     },
     "StructureSection": {
         "added_masses": "masses fixed to points",
         "oscillators": "masses on springs at points, each one more degree of freedom",
-        "damping_factors": "factors on the damping ratios of the undamped modes of the structure with its masses, "
-        "lowest first; the last one holds for all above",
-        "loss_factor": "η of hysteretic damping K (1 + iη), as ζ = η / 2 of every undamped mode of the structure with "
-        "its masses",
+        "damping_factors": "factors on the damping ratios of the undamped modes, lowest first; the last one holds "
+        "for all above",
+        "loss_factor": "η of hysteretic damping K (1 + iη), as ζ = η / 2 of every undamped mode",
     },
     "OscillatorSection": {
         "point": "that carries it",
@@ -112,7 +112,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "mass_kg": "mass; negative where the model has too much",
     },
     "RecordingSection": {
-        "sample_bits": "significant bits of the samples that the plant gives, 24 as in single precision, 53 = all",
+        "sample_bits": "significant bits of the samples; 24 = single precision, 53 = all",
         "compression": "of the bag's chunks",
     },
     "DriftSection": {
@@ -121,14 +121,13 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "stiffness_per_s": "relative change of the structure's stiffness per second, in steps of 4e-6",
     },
     "ShakingTableSection": {
-        "kind": "table that moves all supports of the structure together; a volt asks for an acceleration",
-        "point": "where the loop takes its response, and where the force channel refers to",
+        "kind": "table that moves all supports together; a volt commands an acceleration",
+        "point": "point of the loop's response and of the force channel",
         "acceleration_per_volt_m_s2": "acceleration per drive voltage, m/s² per V",
-        "effective_mass_kg": "m of the force channel, −m times the table's acceleration; left out = the mass with "
-        "which that force does the table's power on the target mode, φᵀMr / φ(point)",
+        "effective_mass_kg": "m of the force channel, −m times the table's acceleration; left out = φᵀMr / φ(point)",
         "bandwidth_hz": "corner of the low-pass between command and acceleration; left out = none",
-        "suspension_hz": "natural frequency of the table on its suspension, below which it does not follow; left out = "
-        "none, and the table's position is not modelled; 0.5 Hz where absolute displacements are measured",
+        "suspension_hz": "natural frequency of the table's suspension; left out = none, 0.5 Hz with absolute "
+        "displacements",
         "suspension_damping_ratio": "ζ of the suspension",
         "responses": "motion that the sensors see: relative to the table, or absolute",
     },
@@ -144,26 +143,23 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "height_m": "height of the cross-section, along the motion",
         "youngs_modulus_pa": "Young's modulus",
         "density_kg_m3": "density",
-        "elements": "finite elements of equal length; points are their ends that move, numbered from the left: point i "
-        "is the right end of element i, in a free-free beam its left end",
+        "elements": "finite elements of equal length; point i is the right end of element i, in a free-free beam "
+        "its left end",
         "stiffness_damping_s": "β of the damping matrix β K of the beam alone",
         "mesh_refinement": "finite elements between two points; the points stay as they are",
         "clamp_rotational_stiffness_nm_rad": "rotational spring that each clamp is; left out = rigid",
         "clamp_lateral_stiffness_n_m": "lateral spring that each clamp is; left out = rigid",
-        "suspension_stiffness_n_m": "soft spring that carries each end of a free-free beam; 0 = it floats, and its "
-        "first two modes are rigid-body modes at 0 Hz",
-        "suspension_damping_ns_m": "damper beside each of these springs",
+        "suspension_stiffness_n_m": "spring at each end of a free-free beam; 0 = two rigid-body modes at 0 Hz",
+        "suspension_damping_ns_m": "damper parallel to each of these springs",
     },
     "ModalSection": {
         "kind": "modes: frequencies, damping ratios, shapes at points",
         "points": "point numbers, in the order of the shapes",
         "modes": "the modes; a rigid-body mode has 0 Hz",
         "residual": "what modes above the given ones contribute",
-        "shape_std": "standard uncertainty of the shapes, over the largest value of each mode; 0 = exact. A diagnosis "
-        "takes errors of that size for ordinary",
-        "base_motion": "displacement of each point by that of a shaking table; left out = 1",
-        "file": "modes from a `.csv` table or data sets 55 of a universal file (`.uff`, `.unv`), relative to the rig "
-        "file; read when the rig is loaded",
+        "shape_std": "standard uncertainty of the shapes over the largest value of each mode, for the diagnosis",
+        "base_motion": "displacement of each point over that of a shaking table",
+        "file": "modes from a `.csv` table or data sets 55 of a universal file (`.uff`, `.unv`)",
         "direction": "direction of the nodes of a universal file",
         "source": "where the modes were read from; written by the bench",
     },
@@ -171,12 +167,11 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "frequency_hz": "natural frequency",
         "damping_ratio": "ζ",
         "modal_mass_kg": "φᵀMφ in the scale of the shape; 1 = mass-normalised",
-        "shape": "displacement at the points; may be left out where there is one point (1)",
-        "participation": "Γ = φᵀMr / φᵀMφ in the scale of the shape, r = motion of the structure with its base; a "
-        "shaking table needs it",
+        "shape": "displacement at the points; 1 for a single point",
+        "participation": "Γ = φᵀMr / φᵀMφ, r = rigid motion with the base; needed by a shaking table",
     },
     "ResidualSection": {
-        "flexibility_m_n": "static displacement at each point by a force at each, beyond the modes: a symmetric matrix",
+        "flexibility_m_n": "symmetric matrix of static displacements by forces at the points, beyond the modes",
         "frequency_hz": "where it is kept as modes; well above the band",
         "damping_ratio": "ζ of these modes",
     },
@@ -188,20 +183,16 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "damping_ns_m": "damping matrix, by rows; left out = none, or by `damping_ratios`",
         "damping_ratios": "ζ of the modes, the last one of all higher ones",
         "base_vector": "displacement of each row by that of a shaking table",
-        "base_load_kg": "load of each row by the acceleration of the table; left out = mass matrix times `base_vector`",
-        "file": "`.npz` or `.mat` (up to -v7) with M, K and, where there are, C, r (`base_vector`), p "
-        "(`base_load_kg`), or a file of a finite-element program, relative to the rig file; read when the rig is "
-        "loaded",
+        "base_load_kg": "load of each row by the table's acceleration; left out = mass matrix times `base_vector`",
+        "file": "`.npz` or `.mat` (up to -v7) with M, K and optional C, r (`base_vector`), p (`base_load_kg`), or a "
+        "file of a finite-element program",
         "mass_file": "mass matrix alone: Matrix Market (`.mtx`), `.npy`, or scipy's sparse `.npz`",
         "stiffness_file": "stiffness matrix alone",
         "damping_file": "damping matrix alone",
-        "rows_file": "node.direction of each row, as `17.3` for node 17 in z, or EXTRN cards of Nastran, for matrices "
-        "that do not name their rows",
-        "nodes_file": "coordinates of the nodes: `*NODE` of Abaqus or CalculiX, GRID cards, or node,x,y,z a line",
-        "units": "length, mass and force of the files, as `mm-t-N`; left out = `m-kg-N`, asked for where the mass "
-        "cannot be",
-        "modes": "reduce to the points and this number of modes with the points held (Craig–Bampton); needed beyond 60 "
-        "rows",
+        "rows_file": "node.direction of each row (`17.3` = node 17 in z), or EXTRN cards of Nastran",
+        "nodes_file": "node coordinates: `*NODE` of Abaqus or CalculiX, GRID cards, or node,x,y,z a line",
+        "units": "length, mass and force of the files, as `mm-t-N`",
+        "modes": "Craig–Bampton reduction to the points and this number of modes; needed beyond 60 rows",
         "mass_factor": "factor on the mass matrix",
         "stiffness_factor": "factor on the stiffness matrix",
         "damping_factor": "factor on the damping matrix",
@@ -211,17 +202,15 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "RegionSection": {
         "nodes": "nodes of the region",
-        "within": "two opposite corners of a box whose nodes belong to it, too, in the units of the file",
-        "file": "stiffness K and mass M of its elements alone, as of the whole model; left out = no stiffness, and for "
-        "its mass the block of the rows of its nodes",
-        "held": "it is a support: the model has its nodes free, and the bench holds them",
+        "within": "opposite corners of a box of nodes, in the file's units",
+        "file": "K and M of its elements alone; left out = no stiffness, mass by the rows of its nodes",
+        "held": "a support: its nodes are free in the model, and the bench holds them",
         "stiffness_factor": "factor on its stiffness",
         "mass_factor": "factor on its mass",
-        "compliance_m_n": "of a support: of all springs together in each direction, as stiff all over its length or "
-        "area; 0 = rigid",
+        "compliance_m_n": "of a support: all springs together in each direction, evenly spread; 0 = rigid",
         "rotational_compliance_rad_nm": "the same of its rotations, where the nodes have them",
-        "stiffness_std": "relative standard uncertainty of its stiffness: within it a diagnosis re-fits the factor; 0 "
-        "= an error of it is an effect",
+        "stiffness_std": "relative standard uncertainty of its stiffness, within which a diagnosis refits the "
+        "factor; 0 = an error is an effect",
         "mass_std": "the same of its mass",
         "stiffness_n_m": "its stiffness in the reduced coordinates; written by the bench",
         "mass_kg": "its mass; written by the bench",
@@ -231,12 +220,12 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "MatrixPointSection": {
         "point": "point number",
-        "row": "row of the matrices of its lateral motion, counted from 0; follows from `node` or `at`",
+        "row": "matrix row of its lateral motion, from 0",
         "rotation_row": "row of its rotation; left out = it does not rotate",
-        "node": "its node, in place of `row`",
-        "at": "a place in the units of the file, in place of `row`: the node next to it, told with its distance",
-        "direction": "direction of its motion, beside `node` or `at`",
-        "rotation": "direction of its rotation, beside `node` or `at`",
+        "node": "its node, instead of `row`",
+        "at": "coordinates in the file's units instead of `row`: the nearest node, reported with its distance",
+        "direction": "direction of its motion, with `node` or `at`",
+        "rotation": "direction of its rotation, with `node` or `at`",
     },
     "ChainSection": {
         "kind": "masses in a row",
@@ -247,7 +236,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "ground_dampers_ns_m": "damper from each mass to the ground; left out = none",
     },
     "ShakerSection": {
-        "kind": "electrodynamic shaker driven by a voltage, its table joined to `point` by a rigid stinger",
+        "kind": "electrodynamic shaker with a rigid stinger at `point`",
         "point": "drive point",
         "table_mass_kg": "mass of the table",
         "table_stiffness_n_m": "suspension of the table",
@@ -259,9 +248,8 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "inductance_h": "inductance of the coil",
         "resistance_ohm": "resistance of the coil",
         "source_resistance_ohm": "output resistance of the amplifier, in series with the coil's",
-        "amplifier_saturation_v": "V of u = V tanh(command / V); a voltage sensor sees the command; left out = linear",
-        "force_factor_linear_per_m": "b₁ of the force factor G (1 + b₁ x + b₂ x²), x = displacement of the coil; in "
-        "the force as in the induced voltage",
+        "amplifier_saturation_v": "V of u = V tanh(command / V); a voltage sensor measures the command",
+        "force_factor_linear_per_m": "b₁ of the force factor G (1 + b₁ x + b₂ x²), x = coil displacement",
         "force_factor_quadratic_per_m2": "b₂ of the same",
     },
     "ForceSection": {
@@ -271,34 +259,33 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "SensorSection": {
         "quantity": "what it measures",
-        "point": "point number, or `drive` for the drive point; none for voltage and current",
-        "exciter": "voltage and current: whose they are, a number from 1; default the first",
-        "channel": "channel name; default f, x, v or a with the point number, u, i",
+        "point": "point number or `drive`; none for voltage and current",
+        "exciter": "of voltage and current: exciter number from 1",
+        "channel": "channel name; default f, x, v, a with point number, u, i",
         "gain": "recorded value per true value",
         "noise_psd": "two-sided density S of the noise in units²/Hz; its variance is S / correlation time",
         "noise_correlation_time_s": "time over which a noise value is held; 0 = one sample",
         "range": "full scale of the converter, in recorded units; left out = unlimited",
         "bits": "resolution of the converter, step 2 range / 2^bits; needs `range`",
-        "mass_kg": "mass of the sensor: added to its point; of a force cell: between sensor and structure, it measures "
-        "F + m a",
-        "transverse": "share of the motion of another point that is recorded as well (`point`, `fraction`)",
+        "mass_kg": "sensor mass, added to its point; a force cell then measures F + m a",
+        "transverse": "recorded share of the motion of another point (`point`, `fraction`)",
         "dead_zone": "a loose sensor: sign(y) max(|y| − d, 0); SI units",
         "low_pass_hz": "corner of 1 / (1 + iω/ω_c)",
         "high_pass_hz": "corner of iω / (iω + ω_h)",
-        "delay_s": "delay of the channel; negative: it leads, by one sampling interval at most",
+        "delay_s": "delay; negative = lead, one sampling interval at most",
         "hum_amplitude": "mains hum, recorded units, of one phase in all channels",
         "hum_hz": "its frequency",
         "crosstalk_per_volt": "recorded units per volt of the drive command",
-        "clip": "recorded values are cut off at ±clip, without `FLAG_OVERLOAD`; left out = never",
+        "clip": "clipping level of recorded values, without `FLAG_OVERLOAD`",
         "dropped_fraction": "share of samples that are lost; the one before is recorded again",
     },
     "LimitSection": {
-        "voltage_v": "largest drive voltage, for every sample put out: commands beyond it are refused, harmonics and "
-        "random peaks (four times the rms) included; a sample beyond it is not put out",
-        "slew_v_s": "largest rate of change of the drive; a faster change is spread; left out = that of a sine of "
-        "`voltage_v` at a tenth of the sample rate, without `voltage_v` none",
-        "rise_from_v": "drive amplitude from which a faster rise than fourfold from block to block is spread, where "
-        "something measured has a limit; left out = 5 % of `voltage_v`",
+        "voltage_v": "largest drive voltage of every sample; commands beyond it are refused, with harmonics and "
+        "random peaks (four times the rms)",
+        "slew_v_s": "largest rate of change of the drive; faster changes are spread; left out = a sine of "
+        "`voltage_v` at a tenth of the sample rate",
+        "rise_from_v": "amplitude from which a rise above fourfold a block is spread, if a measured quantity has a "
+        "limit; left out = 5 % of `voltage_v`",
         "drive_maximum_v": "drive amplitude that ends a test, below `voltage_v`",
         "force_n": "largest measured force",
         "acceleration_m_s2": "largest measured acceleration, any point",
@@ -306,7 +293,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "displacement_m": "largest measured displacement, any point",
         "channels": "levels of single channels, see below",
         "open_loop": "channels that must respond to the drive, see below",
-        "warning_share": "share of an abort level from which a channel is reported, where it has no warning level",
+        "warning_share": "share of an abort level that warns, without a warning level",
         "rms_time_s": "time constant of the rms",
         "ramp_s": "half-cosine to zero after a violation",
     },
@@ -319,24 +306,24 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
     },
     "OpenLoopSection": {
         "channel": "name of the channel",
-        "least": "smallest peak in a block that counts as a response, in the channel's SI unit",
+        "least": "smallest peak in a block that counts as a response",
         "drive_v": "drive amplitude from which a response is due",
         "time_s": "how long there may be none",
     },
     "WatchdogSection": {
-        "blocks": "blocks without a drive command after which the drive goes to zero; 0 = off",
+        "blocks": "blocks without a drive command before the drive goes to zero; 0 = off",
         "ramp_s": "half-cosine to zero",
     },
     "TestSection": {
         "mode": "target mode, from 1",
         "levels": "plan of drive amplitudes in V: `a:b:n` or `a,b,c`",
-        "response_levels": "plan of amplitudes of the response at the drive point for a self-excited test",
+        "response_levels": "amplitudes of the drive-point response for a self-excited test",
         "ramp_s": "half-cosine between levels",
         "window_periods": "whole periods a window; fewer than 3 are rejected by the extraction",
         "lock_timeout_s": "bench time a level may take to lock, after its ramp",
-        "harmonics_control": "harmonics 2 to this one of the force are controlled in phase resonance tests; 0 = none, "
-        "`auto` = as many as the sample rate allows, at most 15",
-        "harmonics_target": "what they are brought to: `force` = zero, `modal` = the ratio that modal power needs",
+        "harmonics_control": "controls force harmonics 2 to this one; 0 = none, `auto` = as many as the sample rate "
+        "allows, at most 15",
+        "harmonics_target": "`force` = zero, `modal` = the ratio that modal power needs",
     },
     "ExtractionSection": {
         "harmonics": "highest harmonic",
@@ -355,37 +342,59 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
 
 
 def message_table(name: str) -> str:
-    """Fields and constants of a message, service or action as Markdown tables.
+    """Fields and constants of a message, service or action as Markdown lists.
 
     Args:
         name: path below nmt_msgs, for example ``msg/Drive.msg``.
     """
     parts = (MESSAGES / name).read_text(encoding="utf-8").split("\n---\n")
     titles = {".action": ("Goal", "Result", "Feedback"), ".srv": ("Request", "Response")}.get(Path(name).suffix, ("",))
+    known = {} if name == LEVEL else _message_lines((MESSAGES / LEVEL).read_text(encoding="utf-8"))
     return "\n\n".join(
-        (f"**{title}**\n\n" if title else "") + _message_part(part) for title, part in zip(titles, parts, strict=True)
+        (f"**{title}**\n\n" if title else "") + _message_part(part, known)
+        for title, part in zip(titles, parts, strict=True)
     )
 
 
-def _message_part(text: str) -> str:
-    heading: list[str] = []
-    constants: list[str] = []
-    rows: list[str] = []
+LEVEL = "msg/Level.msg"
+"""Other messages repeat its constants and fields."""
+
+
+def _message_lines(text: str) -> dict[tuple[str, str], str]:
+    """Comment of each field (type, name) and constant (name, value)."""
+    lines = {}
     for line in text.strip().splitlines():
         code, _, comment = (piece.strip() for piece in line.partition("#"))
-        if not code:
-            if comment and not constants and not rows:
-                heading.append(comment)
-            continue
-        kind, rest = code.split(None, 1)
-        if "=" in rest:
-            label, value = (piece.strip() for piece in rest.split("="))
-            constants.append(f"`{label}` = {value}" + (f" ({comment})" if comment else ""))
+        if code:
+            kind, content = code.split(None, 1)
+            label, equals, value = (piece.strip() for piece in content.partition("="))
+            lines[(label, value) if equals else (kind, content)] = comment
+    return lines
+
+
+def _message_part(text: str, known: dict[tuple[str, str], str]) -> str:
+    heading = []
+    for line in text.strip().splitlines():
+        if not line.startswith("#"):
+            break
+        heading.append(line.removeprefix("#").strip())
+    lines = _message_lines(text)
+    constants, rows, repeated = [], [], []
+    for (label, value), comment in lines.items():
+        if label.isupper():
+            if (label, value) in known:
+                repeated.append(f"`{label.partition('_')[0]}_…`")
+            else:
+                constants.append(f"`{label}` = {value}" + (f" ({comment})" if comment else ""))
+        elif known.get((label, value)) == comment:
+            repeated.append(f"`{value}`")
         else:
-            rows.append(f"* `{kind} {rest}`" + (f": {comment}" if comment else ""))
+            rows.append(f"* `{label} {value}`" + (f": {comment}" if comment else ""))
     blocks = [" ".join(heading)] if heading else []
     if constants:  # first, as in the file: comments speak of "the constants above"
         blocks.append("Constants: " + ", ".join(constants) + ".")
+    if repeated:
+        rows.append(f"* as in [Level](#level): {', '.join(dict.fromkeys(repeated))}")
     if rows:
         blocks.append("\n".join(rows))
     return "\n\n".join(blocks)
@@ -489,13 +498,11 @@ _ATTRIBUTE = re.compile(r"^ {8}(\w+): (.*?)(?=^ {8}\w+: |\Z)", re.S | re.M)
 
 
 def options_table(name: str) -> str:
-    """Arguments and options of a command, part by part where it has parts."""
-    from nmt_bench.cli import build_parser
-
-    parser = build_parser(name)
-    group = next(action for action in parser._actions if action.dest == "command")
-    command = typing.cast(Any, group.choices)[name]
-    parts = next((action for action in command._actions if isinstance(action, argparse._SubParsersAction)), None)
+    """Arguments and options of a command, part by part where it has parts; ``shared``: those of three and more."""
+    if name == "shared":
+        return "\n".join(_shared_options())
+    command = _command_parser(name)
+    parts = _parts(command)
     if parts is None:
         return "\n".join(_option_lines(command))
     lines: list[str] = []
@@ -504,7 +511,39 @@ def options_table(name: str) -> str:
     return "\n".join(lines[1:])
 
 
+def _command_parser(name: str) -> argparse.ArgumentParser:
+    from nmt_bench.cli import build_parser
+
+    group = next(action for action in build_parser(name)._actions if action.dest == "command")
+    return typing.cast(argparse.ArgumentParser, typing.cast(Any, group.choices)[name])
+
+
+def _parts(command: argparse.ArgumentParser) -> Any:
+    return next((action for action in command._actions if isinstance(action, argparse._SubParsersAction)), None)
+
+
+@cache
+def _shared_options() -> tuple[str, ...]:
+    """Lines of the options that three commands and more have in the same words."""
+    from nmt_bench.cli import all_commands
+
+    count: Counter[str] = Counter()
+    for name in all_commands():
+        parts = _parts(_command_parser(name))
+        for command in parts.choices.values() if parts is not None else (_command_parser(name),):
+            count.update(_all_option_lines(command))
+    return tuple(line for line, times in count.items() if times > 2 and "--out" not in line)
+
+
 def _option_lines(command: argparse.ArgumentParser) -> list[str]:
+    """Lines of a command's options, those that it shares with others by their names."""
+    lines = _all_option_lines(command)
+    shared = [line.partition(": ")[0].removeprefix("* ") for line in lines if line in _shared_options()]
+    lines = [line for line in lines if line not in _shared_options()]
+    return lines + ([f"* [as everywhere](#options-of-several-commands): {', '.join(shared)}"] if shared else [])
+
+
+def _all_option_lines(command: argparse.ArgumentParser) -> list[str]:
     lines = []
     for action in command._actions:
         if action.help == argparse.SUPPRESS:
@@ -515,8 +554,12 @@ def _option_lines(command: argparse.ArgumentParser) -> list[str]:
         words = ", ".join(action.option_strings)
         shown = f"{words} {value}".strip() if words and action.nargs != 0 else words or value or action.dest
         need = " **Required.**" if action.required and words else ""
-        lines.append(f"* `{shown}`: {(action.help or '').replace('%%', '%')}{need}")
+        meaning = re.sub(_DEFAULT_FOLDER, "", (action.help or "").replace("%%", "%"))
+        lines.append(f"* `{shown}`: {meaning}{need}")
     return lines
+
+
+_DEFAULT_FOLDER = r"; made if it does not exist \(default: out/[a-z]+-DATE-TIME\)"
 
 
 def python_table(package: str) -> str:
@@ -615,6 +658,11 @@ def matrix_table(name: str) -> str:
         "shaker": ("electrodynamic_shaker",), "force": ("force",), "table": ("shaking_table",),
         "2 shakers": ("electrodynamic_shaker",) * 2, "2 forces": ("force",) * 2,
     }  # fmt: skip
+    names = "|".join(re.escape(test.words()) for test in TESTS.values())
+    any_test = re.compile(
+        rf"\b([Aa])n? (?:{names}) test\b(?: with \d exciters)?(?:(?: with| and) controlled "
+        f"harmonics)?"
+    )
     sentences: dict[str, int] = {}
     lines = [f"| test | driven by | {' | '.join(CONSUMERS)} |", "|---|---|" + "---|" * len(CONSUMERS)]
     for kind, test in TESTS.items():
@@ -632,6 +680,7 @@ def matrix_table(name: str) -> str:
                 for consumer in CONSUMERS:
                     sentence = covers_of(consumer)(asked)
                     if sentence:
+                        sentence = any_test.sub(_this_test, sentence).replace("is this test", "is another one")
                         cells.append(f"({sentences.setdefault(sentence, len(sentences) + 1)})")
                     else:
                         cells.append("✓")
@@ -639,13 +688,17 @@ def matrix_table(name: str) -> str:
                         cells += ["–"] * (len(CONSUMERS) - 1)
                         break
                 rows.setdefault(tuple(cells), []).append(drive)
-            for cells, driven in rows.items():
+            for row, driven in rows.items():
                 words = test.words() + (", harmonics controlled" if harmonics else "")
                 by = "any" if len(driven) == len(drives) else ", ".join(driven)
-                lines.append(f"| {words} | {by} | {' | '.join(cells)} |")
+                lines.append(f"| {words} | {by} | {' | '.join(row)} |")
     lines.append("")
     lines += [f"{number}. {sentence}" for sentence, number in sentences.items()]
     return "\n".join(lines)
+
+
+def _this_test(found: re.Match[str]) -> str:
+    return "This test" if found[1] == "A" else "this test"
 
 
 KINDS: dict[str, Callable[[str], str]] = {

@@ -45,14 +45,10 @@ class MakeOptions:
     kinds: str = option(
         "", "only these kinds of case: null, effect, open, compound, twin, withheld (default: all)", metavar="KIND,…"
     )
-    batch: int = option(
-        0, "make N more cases now, the others another time; the truth of all of them is sealed at once", metavar="N"
-    )
+    batch: int = option(0, "make only N more cases now; all truths are sealed at once", metavar="N")
     tolerances: str = option(
         TOLERANCES[0],
-        "measuring chain: gains, phases, delays, held drive and the like of an ordinary laboratory, drawn for"
-        " "
-        "every case, or none (default: laboratory)",
+        "measuring chain of an ordinary laboratory, drawn for every case, or none (default: laboratory)",
         choices=TOLERANCES,
     )
     out: Path = needed_option("folder of the campaign", metavar="DIR")

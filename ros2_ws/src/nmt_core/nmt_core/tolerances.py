@@ -21,81 +21,77 @@ class ChainTolerances:
 
     gain: float = threshold(
         0.01, "1",
-        "Calibration certificates of force cells and accelerometers state 0.5 to 1 %, cables and mounting come on top.",
+        "Calibration sheets state 0.5 to 1 %; cables and mounting add.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.gain]",
     )  # fmt: skip
     transverse: float = threshold(
         0.005, "1",
-        "Share of the largest motion that a sensor records beside its own: accelerometers state a transverse "
-        "sensitivity of up to 5 %, what moves across them is some tenth of what moves along, and a computed shape is "
-        "off by as much about its nodes.",
+        "Recorded share of motion elsewhere: transverse sensitivity up to 5 %, or shape errors near nodes.",
         "tests/diagnose/test_ordinary_effects.py::test_a_pick_up_within_its_tolerance_is_no_effect",
     )  # fmt: skip
     force_factor: float = threshold(
         0.03, "1",
-        "Force of a shaker per ampere: it falls by some percent where the coil leaves the middle of its gap, and with "
-        "the warmth of the magnet.",
+        "Force per ampere falls off centre and with the magnet's warmth.",
         "tests/record/test_current_as_force.py::test_the_factor_of_a_current_is_in_the_budget",
     )  # fmt: skip
     zero: float = threshold(
         0.1, "1",
-        "Zero of a channel over the largest value that it recorded: a bridge that was not tared, a generator with an "
-        "offset.",
+        "Zero over the largest value: an untared bridge.",
         "tests/diagnose/test_records_as_they_are.py::test_the_zero_of_a_sensor_is_an_error_of_the_record",
     )  # fmt: skip
     phase_deg: float = threshold(
         0.2, "°",
-        "Conditioners pass no constants: a high-pass of 0.1 Hz leads by as much at 30 Hz.",
+        "A high-pass of 0.1 Hz leads by this at 30 Hz.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.phase_deg]",
     )  # fmt: skip
     delay_s: float = threshold(
         1e-5, "s",
-        "Of one channel against the others: a multiplexer's step at 100 000 samples per second, and filters' spread.",
+        "Between channels: a multiplexer at 100 000 samples per second, filter spread.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.delay_s]",
     )  # fmt: skip
     shared_delay_s: float = threshold(
         1e-4, "s",
-        "Of all sensors of a kind against the drive: they share conditioners and the filters of a converter.",
+        "All sensors of a kind against the drive: shared filters.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[tolerances.shared_delay_s]",
     )  # fmt: skip
     clock: float = threshold(
         3e-5, "1",
-        "Crystals of converters are stated to 25 to 50 parts in a million.",
+        "Converter crystals: 25 to 50 parts in a million.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.clock]",
     )  # fmt: skip
     mains: float = threshold(
         1e-3, "1",
-        "Largest ordinary hum over the largest fundamental of its channel: 60 dB below, hardly seen in a spectrum.",
+        "Ordinary hum over the largest fundamental: 60 dB.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.mains]",
     )  # fmt: skip
     drive_harmonic: float = threshold(
         1e-3, "1",
-        "Harmonics 2 and 3 of a drive that was not recorded, over its fundamental: distortion of a power amplifier.",
+        "Unrecorded harmonics 2 and 3 of an amplifier over its fundamental.",
         "tests/diagnose/test_threshold_numbers.py::test_a_drive_is_distorted_by_a_thousandth",
     )  # fmt: skip
     loop_phase_deg: float = threshold(
         1.0, "°",
-        "What a loop may hold beside its set value, all levels alike: it measures with a chain of its own.",
+        "Phase offset of a loop's measuring chain, all levels alike.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[tolerances.loop_phase_deg]",
     )  # fmt: skip
     lock_phase_deg: float = threshold(
         0.5, "°",
-        "The same of each level by itself: lock is declared within about a degree.",
+        "Phase offset of each level: lock tolerates about a degree.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[tolerances.lock_phase_deg]",
     )  # fmt: skip
     resonance_shift: float = threshold(
         3e-4, "1",
-        "Resonance from test to test: the modulus of steel falls by 3e-4 per kelvin, so two kelvins do as much.",
+        "Steel loses 3e-4 of its modulus per kelvin.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.resonance_shift]",
     )  # fmt: skip
     amplitude_scale: float = threshold(
         0.01, "1",
-        "Scale of amplitudes that a file gives without a word on its sensor: as a gain.",
+        "Scale of amplitudes from a file without sensor data.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.amplitude_scale]",
     )  # fmt: skip
     image_share: float = threshold(
         0.6, "1",
-        "Image constant over a mass line: images of a zero-order hold sum to a sawtooth of amplitude 1, rms 0.58.",
+        "Images of a hold sum to a sawtooth, rms 0.58.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[tolerances.image_share]",
     )  # fmt: skip
 

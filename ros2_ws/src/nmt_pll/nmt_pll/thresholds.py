@@ -18,22 +18,22 @@ class PhaseThresholds:
 
     amplitude_bandwidth_share: float = threshold(
         0.3, "1",
-        "Bandwidth of the amplitude controller over that which the dead time allows the phase loop, which it follows.",
+        "Amplitude bandwidth over the phase loop's limit.",
         "tests/pll/test_controller.py::test_a_held_force_settles",
     )  # fmt: skip
     dead_time_blocks: float = threshold(
         1.5, "blocks",
-        "Mean delay from measurement to effect besides the latency: a block until a command acts, and half of one.",
+        "Mean delay without latency: one and a half blocks.",
         "tests/pll/test_held_phase.py::test_adaptive_loop_holds_the_phase_it_is_told",
     )  # fmt: skip
     swing_tolerances: float = threshold(
         5.0, "1",
-        "Scatter of the phase error of a decaying swing at lock, in phase tolerances; the mean is judged besides.",
+        "Allowed scatter of a decaying swing at lock.",
         "tests/pll/test_closed_loop.py::test_locks_over_the_whole_range_of_a_drive_point",
     )  # fmt: skip
     lowest_frequency_ratio: float = threshold(
         0.05, "1",
-        "Frequency over the centre at which the paper's integrator stops: an oscillator cannot turn backwards.",
+        "The paper's integrator stops there.",
         "tests/pll/test_paper_loop.py::test_an_oscillator_does_not_turn_backwards",
     )  # fmt: skip
 
@@ -44,47 +44,47 @@ class AmplitudeThresholds:
 
     feedback_gain_share: float = threshold(
         0.5, "1",
-        "Share of the gain that is critically damped, so that a wrong estimate of the plant does not swing.",
+        "Share of critical gain, for robustness.",
         "tests/pll/test_held_amplitude.py::test_a_reckless_controller_is_found_out",
     )  # fmt: skip
     slow_correction_share: float = threshold(
         0.05, "1",
-        "Share of the logarithmic error that a block takes back whatever the estimates say.",
+        "Share of the error corrected whatever the estimates.",
         "tests/pll/test_held_amplitude.py::test_a_reckless_controller_is_found_out",
     )  # fmt: skip
     largest_log_step: float = threshold(
         0.3, "1",
-        "Of ln u in a block: a third more drive, which a filter of a few blocks still sees coming.",
+        "Change of ln u in a block.",
         "tests/pll/test_held_amplitude.py::test_no_block_changes_the_drive_by_more_than_a_third",
     )  # fmt: skip
     noise_blocks: int = threshold(
         5, "blocks",
-        "Newest blocks at rest that noise is taken from: fewer scatter, more wait.",
+        "Blocks at rest that measure noise.",
         "tests/pll/test_held_amplitude.py::test_noise_is_that_of_the_last_tenth_of_a_second_at_rest",
     )  # fmt: skip
     start_noise_ratio: float = threshold(
         10.0, "1",
-        "Force over its noise from which on exciter and structure are estimated: a tenth of it is noise.",
+        "Force over noise that starts the estimation.",
         "tests/pll/test_held_amplitude.py::test_estimate_waits_until_the_force_stands_out_of_what_was_heard_at_rest",
     )  # fmt: skip
     largest_proportional_log: float = threshold(
         math.log(3.0), "1",
-        "Proportional part of ln u: the drive is at most three times what the integral part says.",
+        "Proportional part of ln u: a factor of three.",
         "tests/pll/test_response_control.py::test_an_amplitude_is_held_also_where_the_force_falls",
     )  # fmt: skip
     largest_rate_ratio: float = threshold(
         20.0, "1",
-        "Bandwidth over decay rate: noise of the amplitude stays small in the drive.",
+        "Bandwidth over decay rate that limits noise.",
         "tests/pll/test_response_control.py::test_an_amplitude_is_held_also_where_the_force_falls",
     )  # fmt: skip
     largest_integrated_error: float = threshold(
         0.2, "1",
-        "Error that the integral part takes in: it does not run ahead while an amplitude rings up.",
+        "Bounds wind-up while an amplitude rings up.",
         "tests/pll/test_response_control.py::test_latency_and_noise_leave_the_levels_stable",
     )  # fmt: skip
     waiting_error: float = threshold(
         0.1, "1",
-        "Logarithm of target over amplitude, and phase error in rad, beyond which the target waits.",
+        "Log error and phase error at which the target waits.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.amplitude.waiting_error]",
     )  # fmt: skip
 
@@ -95,137 +95,137 @@ class HarmonicsThresholds:
 
     phase_margin_rad: float = threshold(
         0.35, "rad",
-        "Integral rate times filter and dead time: phase margin of 70°, gain margin of 4.5.",
+        "Gives a phase margin of 70°, a gain margin of 4.5.",
         "tests/pll/test_force_controller.py::test_closed_form_has_the_margins_that_it_states",
     )  # fmt: skip
     automatic_highest: int = threshold(
         15, "1",
-        "Highest harmonic that auto takes where sample rate and filter would allow more.",
+        "Highest harmonic of auto.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.automatic_highest]",
     )  # fmt: skip
     settled_share: float = threshold(
         0.003, "1",
-        "Settled deviation of a harmonic from its target, of the fundamental: less than calibration leaves open.",
+        "Settled deviation over the fundamental.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.settled_share]",
     )  # fmt: skip
     newest_value_ratio: float = threshold(
         2.0, "1",
-        "Newest value over what the mean of the dwell may be off by: it has the noise of one block.",
+        "Newest value over the tolerance of the mean.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.newest_value_ratio]",
     )  # fmt: skip
     noise_sigmas: float = threshold(
         3.0, "σ",
-        "Standard deviations by which noise may pass the tolerance: once in 10,000, with many harmonics to wait for.",
+        "Noise passes once in 10,000.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.noise_sigmas]",
     )  # fmt: skip
     lowest_gain_share: float = threshold(
         0.1, "1",
-        "Share of the gain that is left in noise: less would never settle.",
+        "Smallest gain in noise that still settles.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.lowest_gain_share]",
     )  # fmt: skip
     largest_step_share: float = threshold(
         0.1, "1",
-        "Step of a term in a block over the amplitude of the drive: a wrong gain is found out before it does harm.",
+        "Step of a term a block over the drive.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_step_share]",
     )  # fmt: skip
     largest_voltage_share: float = threshold(
         1.0, "1",
-        "Voltage of a harmonic over the amplitude of the drive: more is a gain of nearly nothing.",
+        "A larger harmonic voltage means no gain.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_voltage_share]",
     )  # fmt: skip
     voltage_limit_share: float = threshold(
         0.98, "1",
-        "Share of the limits of voltage and slew that all terms together may take: the guard behind is exact.",
+        "Share of the limits for all terms.",
         "tests/pll/test_force_controller.py::test_the_voltage_limit_is_never_passed_and_what_it_stops_is_named",
     )  # fmt: skip
     initial_gain_std: float = threshold(
         0.3, "1",
-        "Standard deviation of the force per volt at first, over it, as a model has it far from the mode.",
+        "Relative prior of a modelled force per volt.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.initial_gain_std]",
     )  # fmt: skip
     largest_gain_std: float = threshold(
         0.5, "1",
-        "The same at most, when nothing has been learnt for long.",
+        "Its largest value without learning.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_gain_std]",
     )  # fmt: skip
     noise_doubling_dwells: float = threshold(
         5.0, "1",
-        "Dwells in which an estimate of noise may double: what looks like noise may be a transient.",
+        "Dwells in which estimated noise may double.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.noise_doubling_dwells]",
     )  # fmt: skip
     variance_doubling_time_constants: float = threshold(
         20.0, "1",
-        "Time constants of the loop in which the variance of the force per volt doubles.",
+        "Time constants in which the variance doubles.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.variance_doubling_time_constants]",
     )  # fmt: skip
     motion_disturbance_ratio: float = threshold(
         3.0, "1",
-        "A disturbance with the n-th power of the motion changes n times as much; so many times this is allowed.",
+        "Allowed disturbance over the n-fold relative motion.",
         "tests/pll/test_force_controller.py::test_amplitudes_that_come_up_slowly_do_not_mislead_it",
     )  # fmt: skip
     unexplained_share: float = threshold(
         3e-4, "1",
-        "Of the fundamental, what the force per volt never explains of a change.",
+        "Change never explained, over the fundamental.",
         "tests/pll/test_force_controller.py::test_a_wrong_force_per_volt_is_put_right",
     )  # fmt: skip
     lowest_gain_correction: float = threshold(
         0.01, "1",
-        "Of the force per volt over what was known at first: a gain of zero could not be learnt away from.",
+        "A zero gain could not be corrected.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.lowest_gain_correction]",
     )  # fmt: skip
     probe_share: float = threshold(
         0.02, "1",
-        "Voltage that probes an unknown force per volt, over the amplitude of the drive.",
+        "Probing voltage over the drive.",
         "tests/pll/test_force_controller.py::test_what_nobody_knows_is_probed_one_harmonic_at_a_time",
     )  # fmt: skip
     review_time_constants: float = threshold(
         5.0, "1",
-        "Time constants of the loop between two looks at whether a harmonic gets nearer to its target.",
+        "Time constants between two reviews.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.review_time_constants]",
     )  # fmt: skip
     steady_motion_change: float = threshold(
         0.005, "1",
-        "Change of the motion within the time constant of the filter that counts as none.",
+        "Change of motion that counts as none.",
         "tests/pll/test_force_controller.py::test_amplitudes_that_come_up_slowly_do_not_mislead_it",
     )  # fmt: skip
     progress_share: float = threshold(
         0.7, "1",
-        "Deviation over that of the look before which counts as progress.",
+        "Deviation ratio that counts as progress.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.progress_share]",
     )  # fmt: skip
     reviews_without_progress: int = threshold(
         3, "1",
-        "Looks without progress before a harmonic is given up: what was learnt is doubted at the first.",
+        "Reviews before a harmonic is given up.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.reviews_without_progress]",
     )  # fmt: skip
     limited_time_constants: float = threshold(
         10.0, "1",
-        "Time constants of the loop at the largest voltage before a harmonic is given up.",
+        "Time at the largest voltage before giving up.",
         "tests/pll/test_force_controller.py::test_a_dead_harmonic_is_given_up_by_name_and_the_rest_goes_on",
     )  # fmt: skip
     fade_per_block: float = threshold(
         0.7, "1",
-        "Share of the voltage of a harmonic that was given up which is left after a block.",
+        "Remaining voltage share of a faded harmonic a block.",
         "tests/pll/test_force_controller.py::test_a_dead_harmonic_is_given_up_by_name_and_the_rest_goes_on",
     )  # fmt: skip
     modal_target_modes: int = threshold(
         3, "1",
-        "Linear modes that the modal target needs: harmonics move in others than the first.",
+        "Modes that the modal target needs.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.modal_target_modes]",
     )  # fmt: skip
     largest_target_ratio: float = threshold(
         0.3, "1",
-        "Target of a harmonic over the fundamental: a force with more is far from a sine.",
+        "Largest target over the fundamental.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.largest_target_ratio]",
     )  # fmt: skip
     resonance_band_ratio: float = threshold(
         1.4, "1",
-        "Frequency over that of the target mode up to which the force per volt of the fundamental is looked at.",
+        "Range of the fundamental's force per volt.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.resonance_band_ratio]",
     )  # fmt: skip
     shape_following_ratio: float = threshold(
         0.08, "1",
-        "Rate by which targets follow the shape, over the distance |δ + i Δω| of the nearest other mode.",
+        "Rate of targets over |δ + i Δω| of the nearest mode.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.shape_following_ratio]",
     )  # fmt: skip
 
@@ -236,22 +236,22 @@ class SecondaryThresholds:
 
     release_ratios: tuple[float, ...] = threshold(
         (1.0, 1.2, 0.85, 1.4, 0.7, 1.6), "1",
-        "Amplitudes of the releases of a level over the stated one, in order, until one meets the isola.",
+        "Amplitudes of successive releases over the stated one.",
         "tests/pll/test_secondary_loop.py::test_a_release_reaches_the_tip_of_the_isola",
     )  # fmt: skip
     filter_cutoff_ratio: float = threshold(
         0.3, "1",
-        "Cut-off of the filter over the base frequency: strongly nonlinear amplitude and frequency move together.",
+        "Over the base frequency: amplitude and frequency move together.",
         "tests/pll/test_secondary_loop.py::test_the_superharmonic_resonance_is_tracked_from_each_start",
     )  # fmt: skip
     isola_left_ratio: float = threshold(
         0.15, "1",
-        "Response over the amplitude of the release below which it has left the isola.",
+        "Relative response that has left the isola.",
         "tests/pll/test_secondary_loop.py::test_a_release_reaches_the_tip_of_the_isola",
     )  # fmt: skip
     release_phase_rad: float = threshold(
         math.radians(15.0), "rad",
-        "Deviation of the lag from that of the resonance at which a release is begun.",
+        "Lag deviation that starts a release.",
         "tests/pll/test_secondary_loop.py::test_on_the_isola_the_force_can_be_stepped_on",
     )  # fmt: skip
     release_wait_s: float = threshold(
@@ -261,22 +261,22 @@ class SecondaryThresholds:
     )  # fmt: skip
     response_floor_ratio: float = threshold(
         0.02, "1",
-        "Response over the amplitude of the release below which it is no signal.",
+        "Relative response without a signal.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.secondary.response_floor_ratio]",
     )  # fmt: skip
     switch_periods: float = threshold(
         2.0, "periods",
-        "Half-cosine from the voltage of the release to that of the level: a step would excite other modes.",
+        "Half-cosine between the voltages of release and level.",
         "tests/pll/test_secondary_loop.py::test_a_release_reaches_the_tip_of_the_isola",
     )  # fmt: skip
     resonant_share: float = threshold(
         0.05, "1",
-        "Amplitude of the resonant order over that of the order of the force in the response, at lock.",
+        "Resonant order over the force's order at lock.",
         "tests/pll/test_secondary_loop.py::test_a_softening_spring_has_the_opposite_lag",
     )  # fmt: skip
     isola_resonant_share: float = threshold(
         0.3, "1",
-        "The same on an isola, which the response would have left below.",
+        "The same on an isola.",
         "tests/pll/test_secondary_loop.py::test_without_a_release_rest_is_left_for_no_isola",
     )  # fmt: skip
 
@@ -287,12 +287,12 @@ class SelfExcitedThresholds:
 
     amplitude_rate: float = threshold(
         0.35, "1",
-        "Rate of the amplitude law, and of damping feedback, times the dead time: a phase margin of 70°.",
+        "Times the dead time: a phase margin of 70°.",
         "tests/pll/test_self_excited_control.py::test_amplitudes_are_held_where_the_free_motion_is_stable_and_where_it_is_not",
     )  # fmt: skip
     largest_damping_rate: float = threshold(
         0.6, "1",
-        "Rate of damping that is asked for, times the dead time: one in full would make the motion swing.",
+        "Largest requested damping rate times the dead time.",
         "tests/pll/test_self_excited_control.py::test_amplitudes_are_held_where_the_free_motion_is_stable_and_where_it_is_not",
     )  # fmt: skip
     largest_feeding_rate: float = threshold(
@@ -302,37 +302,37 @@ class SelfExcitedThresholds:
     )  # fmt: skip
     held_growth: float = threshold(
         0.15, "1",
-        "Growth at rest times the dead time up to which the amplitude is held; beyond, the motion is released instead.",
+        "Growth times the dead time that can be held.",
         "tests/pll/test_self_excited_control.py::test_a_dead_time_as_long_as_the_growth_lets_the_motion_go",
     )  # fmt: skip
     phase_tracking_rate: float = threshold(
         0.25, "1",
-        "Rate at which the oscillator follows the phase, times the dead time.",
+        "Phase tracking rate times the dead time.",
         "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     quadrature_rate: float = threshold(
         0.25, "1",
-        "Rate at which the force at right angles to the velocity is taken back, times the dead time.",
+        "Rate against the quadrature force times the dead time.",
         "tests/pll/test_self_excited_loop.py::test_an_unstable_rig_never_passes_its_limits_at_a_start",
     )  # fmt: skip
     integral_rate_ratio: float = threshold(
         0.25, "1",
-        "Rate of the integral part over that of the proportional one: a quarter is aperiodic.",
+        "Integral over proportional rate: aperiodic.",
         "tests/pll/test_self_excited_control.py::test_amplitudes_are_held_where_the_free_motion_is_stable_and_where_it_is_not",
     )  # fmt: skip
     largest_integrated_log_error: float = threshold(
         0.2, "1",
-        "Error of ln a beyond which the integral winds up no faster.",
+        "Bounds the wind-up.",
         "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     feedback_adaption_rate: float = threshold(
         0.3, "1",
-        "Rate at which the gain of velocity feedback is adapted, times the dead time.",
+        "Adaptation rate times the dead time.",
         "tests/pll/test_self_excited_control.py::test_without_the_proportional_part_only_stable_amplitudes_are_held",
     )  # fmt: skip
     response_limit_share: float = threshold(
         0.85, "1",
-        "Share of the limit of the response at which control is given up for damping.",
+        "Limit share at which control becomes damping.",
         "tests/pll/test_self_excited_loop.py::test_a_motion_near_its_limit_is_damped_before_the_guard_trips",
     )  # fmt: skip
     voltage_limit_share: float = threshold(
@@ -347,32 +347,32 @@ class SelfExcitedThresholds:
     )  # fmt: skip
     decayed_ratio: float = threshold(
         0.1, "1",
-        "Response over the lowest level at which it counts as down.",
+        "Response over the lowest level that ends damping.",
         "tests/pll/test_self_excited_loop.py::test_loss_of_control_is_damped_and_the_drive_then_goes_to_zero_by_a_ramp",
     )  # fmt: skip
     phase_amplitude_ratio: float = threshold(
         0.1, "1",
-        "Amplitude over a level from which the phase of the response is followed.",
+        "Amplitude over a level that has a phase.",
         "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     target_rate_ratio: float = threshold(
         0.3, "1",
-        "Rate of the logarithm of a target over that of the law: the law follows.",
+        "Rate of the target over that of the law.",
         "tests/pll/test_self_excited_loop.py::test_an_unstable_rig_never_passes_its_limits_at_a_start",
     )  # fmt: skip
     first_target_ratio: float = threshold(
         2.0, "1",
-        "First target over the amplitude from which the response is followed.",
+        "First target over the tracking amplitude.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.first_target_ratio]",
     )  # fmt: skip
     phase_engaged_ratio: float = threshold(
         1.3, "1",
-        "Response over the amplitude from which its phase is followed, at which following begins.",
+        "Response at which tracking begins.",
         "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     phase_released_ratio: float = threshold(
         0.6, "1",
-        "The same, at which following ends: the two are apart, so that noise does not switch.",
+        "Response at which tracking ends (hysteresis).",
         "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     lost_control_ratio: float = threshold(
@@ -382,22 +382,22 @@ class SelfExcitedThresholds:
     )  # fmt: skip
     largest_detuning: float = threshold(
         1.0e-4, "1",
-        "Of the frequency, by the force at right angles to the velocity, at lock.",
+        "Relative, by the quadrature force at lock.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.largest_detuning]",
     )  # fmt: skip
     lost_lock_change: float = threshold(
         0.1, "1",
-        "Of a locked amplitude, or over a hundred of the frequency, that loses the lock.",
+        "Relative amplitude, or 100 times frequency, that loses lock.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.lost_lock_change]",
     )  # fmt: skip
     shortest_free_window_periods: float = threshold(
         6.0, "periods",
-        "Shortest window of a free motion, in periods of the mode.",
+        "Shortest window of free motion.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.shortest_free_window_periods]",
     )  # fmt: skip
     release_log_lead: float = threshold(
         0.6, "1",
-        "Of ln a, beside the amplitude to be passed, at which a motion is released.",
+        "Distance in ln a at release.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.release_log_lead]",
     )  # fmt: skip
     shortest_log_lead: float = threshold(
@@ -412,7 +412,7 @@ class SelfExcitedThresholds:
     )  # fmt: skip
     limit_cycle_log_distance: float = threshold(
         0.02, "1",
-        "Of ln a: a level that is the amplitude of a settled motion.",
+        "Level this near in ln a to a settled motion.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.limit_cycle_log_distance]",
     )  # fmt: skip
     free_window_log_span: float = threshold(
@@ -422,12 +422,12 @@ class SelfExcitedThresholds:
     )  # fmt: skip
     release_log_tolerance: float = threshold(
         0.05, "1",
-        "Of ln a short of the amplitude at which a motion is to be released.",
+        "Tolerance in ln a of the release.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.release_log_tolerance]",
     )  # fmt: skip
     growth_periods: float = threshold(
         2.0, "periods",
-        "Periods over which the growth of a free motion is measured.",
+        "Periods that measure free growth.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.growth_periods]",
     )  # fmt: skip
 
@@ -443,12 +443,12 @@ class SweepThresholds:
     )  # fmt: skip
     probe_voltage_v: float = threshold(
         1.0e-4, "V",
-        "First voltage where nothing is known of the exciter: small beside what any amplifier puts out.",
+        "First voltage of an unknown exciter.",
         "tests/pll/test_sweep_loop.py::test_a_probe_begins_at_a_tenth_of_a_millivolt_and_grows_by_a_quarter_a_block",
     )  # fmt: skip
     probe_log_growth: float = threshold(
         0.25, "1",
-        "Of ln u in a block while the amplitude is within its noise.",
+        "Growth of ln u a block within noise.",
         "tests/pll/test_sweep_loop.py::test_a_probe_begins_at_a_tenth_of_a_millivolt_and_grows_by_a_quarter_a_block",
     )  # fmt: skip
     probe_noise_ratio: float = threshold(
@@ -468,7 +468,7 @@ class SweepThresholds:
     )  # fmt: skip
     lost_log_deviation: float = threshold(
         math.log(2.0), "1",
-        "Logarithm of the held amplitude over its target that ends a sweep if it lasts: a factor of two.",
+        "A factor of two off ends a sweep.",
         "tests/pll/test_sweep_loop.py::test_a_held_amplitude_may_be_off_by_a_factor_of_two_for_a_second",
     )  # fmt: skip
     lost_duration_s: float = threshold(
@@ -478,7 +478,7 @@ class SweepThresholds:
     )  # fmt: skip
     glide_frequency_step: float = threshold(
         0.05, "1",
-        "Relative change of frequency up to which a stepped sine glides on instead of stopping.",
+        "Relative step that a stepped sine glides over.",
         "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.sweeps.glide_frequency_step]",
     )  # fmt: skip
 
@@ -489,125 +489,118 @@ class CurveThresholds:
 
     cutoff_share: float = threshold(
         0.7, "1",
-        "Cut-off of the filter over the mode's frequency: the gains, which grow with it, hold what runs away between "
-        "the folds, and the filter still tells the fundamental from its neighbours.",
+        "Cut-off over the mode: fast enough between folds, still selective.",
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip
     phase_tolerance: float = threshold(
         math.radians(0.5), "rad",
-        "Largest mean phase error at lock: a point lies where its lag was measured, so that it has to be steady only.",
+        "Points only have to be steady in lag.",
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip
     free_decays: float = threshold(
         3.0, "1",
-        "Time constants of the free vibration that a start from rest waits before the loop is closed off resonance.",
+        "Time constants that a start from rest waits.",
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip
     largest_gain: float = threshold(
         1.5, "1",
-        "Factor of the proportional gain between the folds: filter and dead time bear it.",
+        "Factor of the proportional gain between the folds.",
         "tests/pll/test_gains.py::test_on_a_slope_the_gains_grow_within_their_bounds",
     )  # fmt: skip
     frequency_steadiness: float = threshold(
         1.0e-3, "1",
-        "Share by which the frequency may still move along the curve with the decay of the structure, at lock.",
+        "Remaining relative motion in frequency at lock.",
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip
     steadiness: float = threshold(
         2.0e-3, "1",
-        "Share by which the response may still be behind the point it moves along the curve with, at lock.",
+        "Remaining relative motion in response at lock.",
         "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
     )  # fmt: skip
     held_steadiness: float = threshold(
         6.0e-4, "1",
-        "The same where the response is held: the force that is measured has the growth of the response in it, and "
-        "more so where the damping is less than the linear one.",
+        "The same at held response, whose growth enters the force.",
         "tests/session/test_isola.py::test_a_branch_that_rest_does_not_lead_to_is_foretold_reached_and_measured",
     )  # fmt: skip
     least_tolerance: float = threshold(
         5.0e-5, "1",
-        "Least tolerance of a drift over a dwell, which light damping would make smaller without need.",
+        "Smallest drift tolerance, at light damping.",
         "tests/session/test_response_curve.py::test_light_damping_does_not_ask_for_endless_patience",
     )  # fmt: skip
     gentle_share: float = threshold(
         0.3, "1",
-        "Speed of the phase loop, over the full one, with which a point is tried that full gains do not hold, and "
-        "first with an exciter that damps.",
+        "Reduced loop speed for difficult points and damping exciters.",
         "tests/session/test_response_curve.py::test_with_a_shaker_and_friction_the_curve_goes_to_its_other_side",
     )  # fmt: skip
     exciter_decay_ratio: float = threshold(
         1.5, "1",
-        "Decay with the exciter over that of the structure from which the exciter damps.",
+        "Decay ratio from which the exciter damps.",
         "tests/session/test_response_curve.py::test_with_a_shaker_and_friction_the_curve_goes_to_its_other_side",
     )  # fmt: skip
     release_block_s: float = threshold(
         0.02, "s",
-        "Block that the gains of a release are chosen for: with more bandwidth it chases what rings at its start.",
+        "Assumed block of a release, which limits bandwidth.",
         "tests/session/test_isola.py::test_a_branch_that_rest_does_not_lead_to_is_foretold_reached_and_measured",
     )  # fmt: skip
     perturbed_lines: float = threshold(
         8.0, "1",
-        "Lines of the multisine that perturbs the drive: with fewer, two exponents are told by little more than what "
-        "they are.",
+        "Lines of the multisine, for two exponents.",
         "tests/pll/test_multisine.py::test_over_its_window_it_has_its_rms_no_mean_and_eight_lines",
     )  # fmt: skip
     perturbed_frequency_share: float = threshold(
         0.05, "1",
-        "Of the perturbation of the amplitude: of the frequency, which moves a lightly damped response more.",
+        "Frequency perturbation over that of amplitude.",
         "tests/session/test_response_curve.py::"
         "test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold",
     )  # fmt: skip
     slow_share: float = threshold(
         0.15, "1",
-        "Speed of the phase loop, over the full one, where a lag is held beside another mode: below the beat of both, "
-        "above what runs away near a fold.",
+        "Loop speed next to another mode, above fold instability.",
         "tests/session/test_folding_lag.py::test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end",
     )  # fmt: skip
     way_decays: float = threshold(
         2.0, "1",
-        "Time constants of the free vibration on the way to a point off the lag: the response follows with them.",
+        "Time constants on the way to a new lag.",
         "tests/session/test_folding_lag.py::test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end",
     )  # fmt: skip
     secant_decays: float = threshold(
         1.0, "1",
-        "Time constants that a combination of lag and response settles before its lock is judged.",
+        "Time constants before a secant's lock is judged.",
         "tests/session/test_folding_lag.py::test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end",
     )  # fmt: skip
     neighbour_share: float = threshold(
         0.05, "1",
-        "Shape of another mode at the drive point, over that of the target mode, from which the loop feels it.",
+        "Relative shape of another mode that the loop feels.",
         "tests/session/test_folding_lag.py::test_a_neighbouring_mode_is_one_within_the_filter_at_the_drive_point",
     )  # fmt: skip
     branch_distance: float = threshold(
         0.15, "1",
-        "Distance of an orbit from the one that was foreseen, as radians of the lag or logarithm of the response, from "
-        "which it is another branch; one and a half of the way that the point was moved may come on top.",
+        "Distance, in lag or ln response, that is another branch.",
         "tests/pll/test_curve_parameters.py::test_an_orbit_of_another_branch_is_no_lock",
     )  # fmt: skip
     prospect_decays: float = threshold(
         4.0, "1",
-        "Time constants of the structure that a span lasts, beside a dwell, over which what keeps a point from locking "
-        "is averaged: what settles falls by a factor of 50 in it.",
+        "Averaging span beyond a dwell, in time constants.",
         "tests/pll/test_prospect.py::test_a_threshold_decides",
     )  # fmt: skip
     prospect_spans: float = threshold(
         3.0, "spans",
-        "Spans over which the trend is taken: a swing and the way to a new amplitude need more than two.",
+        "Spans of a trend.",
         "tests/pll/test_prospect.py::test_a_threshold_decides",
     )  # fmt: skip
     prospect_fall: float = threshold(
         0.3, "1",
-        "Fall of the logarithm a span from which a point is on its way.",
+        "Logarithmic fall a span that is progress.",
         "tests/pll/test_prospect.py::test_a_threshold_decides",
     )  # fmt: skip
     prospect_near: float = threshold(
         0.7, "1",
-        "Logarithm of the share of the limits up to which noise may keep a point from locking, and no trend is asked.",
+        "Logarithmic distance to the limits that noise explains.",
         "tests/pll/test_prospect.py::test_a_threshold_decides",
     )  # fmt: skip
     largest_boost: float = threshold(
         2.5, "1",
-        "Factor of the integral gain along a response curve: filter and dead time bear it.",
+        "Factor of the integral gain along a curve.",
         "tests/pll/test_gains.py::test_on_a_slope_the_gains_grow_within_their_bounds",
     )  # fmt: skip
 

@@ -24,21 +24,19 @@ class DiagnoseOptions:
     )
     real: tuple[Path, ...] = option(
         (),
-        "results folder or bag of './nmt run', 'linear' or 'import' on the real rig; may be repeated: "
-        "different "
-        "tests tell more effects apart; of a robot: a log of its joints, or that log's sidecar; further logs test it",
+        "results folder or bag of './nmt run', 'linear' or 'import' on the real rig; of a robot a log of its joints "
+        "or its sidecar; may be repeated: different tests separate more effects, further logs test the answer",
         metavar="BAG",
     )
     group: Path | None = option(
         None,
-        "in place of --real: CSV table of several units of one type, with the columns recording, unit, and mounting, "
-        "day, repeat where they differ; each is diagnosed, then all together; of a robot beside --real: with the "
-        "columns joint, unit and part, which joints are meant to be alike; several logs are its repeats",
+        "instead of --real: CSV table of several units of one type (recording, unit; mounting, day, repeat if they "
+        "differ); with --real of a robot: table of alike joints (joint, unit, part)",
         metavar="TABLE",
     )
     floor: tuple[Path, ...] = option(
         (),
-        "repeat of a test among --real: what differs between the two no model can explain; may be repeated",
+        "repeat of a test among --real, for the scatter between tests; may be repeated",
         metavar="BAG",
     )
     set: tuple[str, ...] = option(
@@ -47,8 +45,8 @@ class DiagnoseOptions:
     without: tuple[str, ...] = option((), "leave an effect out of the library; may be repeated", metavar="EFFECT")
     hold_out: tuple[str, ...] = option(
         (),
-        "keep a test (named as its folder) out of every fit and judge the gap by it alone; may be repeated "
-        "(default: levels and whole tests in turn)",
+        "test (named as its folder) that no fit uses and that alone judges the gap; may be repeated (default: "
+        "levels and whole tests in turn)",
         metavar="TEST",
     )
     out: Path = dated_folder_option("diagnosis.json, report.html, model.yaml, observables.csv", "diagnose")
@@ -56,14 +54,12 @@ class DiagnoseOptions:
     seed: int = option(0, "seed of the intervals (default: 0)", metavar="N")
     calibration: Path | None = option(
         None,
-        "calibration file with uncertainties of the real sensors' sensitivities (default: what the bags say, "
-        "else"
-        " ordinary tolerances)",
+        "calibration file of the real sensors (default: that of the bags, else ordinary tolerances)",
         metavar="FILE",
     )
     allow_own_model: bool = option(
         False,
-        "take recordings that were simulated from the model itself, too: they show what a rig without a gap looks like",
+        "accept recordings simulated from the model itself, which have no gap",
     )
     matters: tuple[str, ...] = option(
         (),
@@ -74,8 +70,8 @@ class DiagnoseOptions:
     )
     why: tuple[str, ...] = option(
         (),
-        "say why an explanation, such as cubic_stiffness@3, is stated or not, with the rule that decided; where a "
-        "diagnosis stands in --out it is asked and nothing is computed; may be repeated",
+        "rule that reported an explanation, such as cubic_stiffness@3, or not; asks the diagnosis in --out if there "
+        "is one; may be repeated",
         metavar="EFFECT@PLACE",
     )
     jobs: int | None = jobs_option()

@@ -49,15 +49,13 @@ class ExtractOptions:
     )
     calibration: Path | None = option(
         None,
-        "calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget "
-        "(default: "
-        "what the bag says, else ordinary tolerances)",
+        "calibration file of the sensors for the uncertainty budget (default: that of the bag, else ordinary "
+        "tolerances)",
         metavar="FILE",
     )
     model_run: Path | None = option(
         None,
-        "results folder of a run of the rig's model with its reference.csv: shows the error of single-point "
-        "excitation for the uncertainty budget",
+        "results folder of a run of the rig's model with its reference.csv, for the error of single-point excitation",
         metavar="DIR",
     )
     no_report: bool = option(False, "write modal.csv and modal.json only")

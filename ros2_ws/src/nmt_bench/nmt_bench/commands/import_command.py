@@ -35,9 +35,8 @@ class ImportOptions:
     )
     init: Path | None = option(
         None,
-        "look into a file of data or a ROS 2 bag and write a sidecar beside it, with the ending .yaml; one "
-        "for "
-        "each recording or topic",
+        "look into a data file or ROS 2 bag and write its sidecar (.yaml) into the same folder; one for each "
+        "recording or topic",
         metavar="FILE",
         exclusive=True,
     )

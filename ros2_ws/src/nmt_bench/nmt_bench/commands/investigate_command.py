@@ -62,21 +62,18 @@ class InvestigateOptions:
     ask: bool = option(False, "ask before each test: yes, no (another one) or stop")
     page: bool = option(
         False,
-        "page in the browser with what was asked and learnt, to answer (with --ask) and to stop; prints its address",
+        "page in the browser with questions and results, to answer (with --ask) and to stop; prints its address",
     )
     out: Path = dated_folder_option("investigate.json, report.html, diagnosis/, a folder for each test", "investigate")
     set: tuple[str, ...] = option((), "change a value of the real rig; may be repeated", metavar="KEY=VALUE")
     calibration: Path | None = option(
         None,
-        "calibration file with uncertainties of the real sensors' sensitivities (default: what the bags say, else "
-        "ordinary tolerances)",
+        "calibration file of the real sensors (default: that of the bags, else ordinary tolerances)",
         metavar="FILE",
     )
     device: str = device_option()
     latency_blocks: int = latency_option()
-    allow_own_model: bool = option(
-        False, "take a rig, or recordings, that are the model itself, too: they show what no gap looks like"
-    )
+    allow_own_model: bool = option(False, "accept a rig or recordings that equal the model, which have no gap")
     seed: int = option(0, "seed of the real rig's noise (default: 0); each test adds its number", metavar="N")
     jobs: int | None = jobs_option()
     quiet: bool = option(False, "no progress display")

@@ -45,21 +45,19 @@ class ReferenceOptions:
     harmonics: int = option(7, "highest harmonic order, 1 to 200 (default: 7)", metavar="H")
     amplitudes: str | None = option(
         None,
-        "modal amplitudes in m√kg: n values from q1 to q2 in geometric steps (default: 100 values that cover "
-        "the "
-        "rig's levels generously)",
+        "modal amplitudes, m√kg: n from q1 to q2 in geometric steps (default: 100 beyond the rig's levels)",
         metavar="q1:q2:n",
     )
     forces: str | None = option(
         None,
-        "the response curves at these forces (N) in place of the backbone: a,b,c or a:b:n, by harmonic balance with "
-        "continuation; folds, and the stability of every point by Floquet multipliers",
+        "response curves at these forces (N), a,b,c or a:b:n, with folds and Floquet stability, instead of the "
+        "backbone",
         metavar="PLAN",
     )
     band: tuple[float, float] | None = option(
         None,
-        "with --forces: lowest and highest frequency, Hz (default: the guard band of the loop, at least half to one "
-        "and a half of the mode's)",
+        "with --forces: lowest and highest frequency, Hz (default: the loop's guard band, at least 0.5 to 1.5 of "
+        "the mode's)",
         metavar="LOW:HIGH",
         parse=_band,
     )

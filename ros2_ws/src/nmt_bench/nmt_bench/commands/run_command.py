@@ -72,21 +72,18 @@ class RunOptions:
     force: bool = replace_option()
     kind: str = option(
         "phase_resonance",
-        "self_excited: a rig that feeds its motion is held at amplitudes of the response, or released and measured as "
-        "it passes them; the damping ratio may have either sign; response_curve: the response at each held force past "
-        "its folds, the phase lag stepped (default: phase_resonance)",
+        "self_excited: amplitudes of a rig that feeds its motion, damping of either sign; response_curve: responses "
+        "at held forces past folds, phase lag stepped (default: phase_resonance)",
         choices=("phase_resonance", "self_excited", "response_curve"),
     )
     method: str | None = option(
         None,
-        "of a self-excited test: amplitude control, velocity feedback, release of the motion, or by what is stable "
-        "(default: auto)",
+        "self-excited test: amplitude control, velocity feedback, released motion, or what is stable (default: auto)",
         choices=("auto", "amplitude", "feedback", "envelope"),
     )
     duration: float | None = option(
         None,
-        "of a self-excited test: longest time that a free motion is waited for, and that damping at the end takes "
-        "(default: 5)",
+        "self-excited test: longest wait for a free motion, and longest damping at the end (default: 5)",
         metavar="S",
     )
     linear: Path | None = option(
@@ -96,69 +93,62 @@ class RunOptions:
     )
     levels: str | None = option(
         None,
-        "levels in the unit of --control: a:b:n for n levels from a to b in geometric steps, a:b:n:linear, or"
-        " a "
-        "list a,b,c (default: the rig's, in V; of a self-excited test in the unit of the response); of a response "
-        "curve one for each curve, in N",
+        "levels in the unit of --control: a:b:n in geometric steps, a:b:n:linear, or a list a,b,c; of response "
+        "curves one for each, in N (default: the rig's)",
         metavar="PLAN",
     )
     strategy: str | None = option(
         None,
-        "stepped: wait for lock at every level; ramp: lock once, then windows of 20 periods during slow "
-        "ramps, "
-        "evaluated by the balance of power (default: stepped)",
+        "stepped: lock at every level; ramp: lock once, then windows of 20 periods during slow ramps (default: "
+        "stepped)",
         choices=("stepped", "ramp"),
     )
     control: str | None = option(
         None,
-        "what the levels are: drive voltage (V), amplitude of the drive-point response that is held (m or "
-        "m/s^2),"
-        " or force fundamental that is held (N) (default: voltage; of a self-excited test response, of a response "
-        "curve force)",
+        "meaning of the levels: drive voltage (V), held drive-point response (m or m/s^2), or held force "
+        "fundamental (N) (default: voltage; self-excited: response; response curve: force)",
         choices=("voltage", "response", "force"),
     )
     refine: float | None = option(
         None,
-        "put levels between those of the plan where the backbone bends: largest relative deviation of the "
-        "frequency from a straight line, such as 0.001 (default: the plan as it is)",
+        "insert levels where the backbone bends: largest relative deviation of the frequency from a straight line, "
+        "such as 0.001 (default: none)",
         metavar="TOL",
     )
     lag: tuple[float, float] | None = option(
         None,
-        "of a response curve: first and last phase lag of the drive-point displacement behind the force, degrees "
-        "(default: 10:170)",
+        "response curve: first and last lag of the drive-point displacement behind the force, degrees (default: "
+        "10:170)",
         metavar="A:B",
         parse=_lags,
     )
     spacing: float | None = option(
         None,
-        "of a response curve: distance of neighbouring points; 1 is a factor of e of the response, a radian of the lag "
-        "or a tenth of the frequency (default: 0.2)",
+        "response curve: distance of neighbouring points; 1 = factor e of the response, a radian of lag or a tenth "
+        "of the frequency (default: 0.2)",
         metavar="D",
     )
     floquet: bool = option(
         False,
-        "of a response curve: change the drive by a small multisine within the windows, of 20 periods or more, and "
-        "measure the Floquet exponents of each orbit in open loop by it",
+        "response curve: measure the Floquet exponents of each orbit by a small multisine in windows of 20 periods "
+        "or more",
     )
     along: str | None = option(
         None,
-        "of a response curve: step the lag; or the frequency and, where orbits are unstable, a combination of lag and "
-        "response; auto: the second where another mode lies within the filter of the loop (default: auto)",
+        "response curve: step the lag, or the distance along the curve (secant); auto: secant with another mode "
+        "within the loop's filter (default: auto)",
         choices=("auto", "lag", "secant"),
     )
     resonance: str | None = option(
         None,
-        "hold the phase lag of a secondary resonance in place of phase resonance: 3:1 superharmonic, 1:3 "
-        "subharmonic; levels are voltages or forces",
+        "hold a secondary resonance: 3:1 superharmonic, 1:3 subharmonic; levels are voltages or forces",
         choices=("3:1", "1:3"),
     )
     release: float | None = option(
         None,
-        "with --resonance 1:3: drive-point response (m or m/s^2) that the mode is brought to before the drive "
-        "turns to three times its frequency; about half the amplitude of the isola's tip, which "
-        "'./nmt synthesis --resonance 1:3' tells; of a response curve: amplitude that is held at its first lag "
-        "before the force is, the way onto an isola",
+        "with --resonance 1:3: drive-point response (m or m/s^2) before the drive turns to three times the "
+        "frequency, about half of the isola's tip ('./nmt synthesis --resonance 1:3'); response curve on an isola: "
+        "amplitude held at its first lag",
         metavar="A",
     )
     start_frequency: float | None = option(
@@ -177,23 +167,21 @@ class RunOptions:
     stop_on_lost_lock: bool = option(False, "end the test at the first level that does not lock")
     harmonics_control: int | str | None = option(
         None,
-        "bring harmonics 2 to H of the force to their targets by harmonics of the drive; auto = as many as "
-        "the "
-        "sample rate allows, at most 15; 0 = none (default: the rig's, else 0)",
+        "control harmonics 2 to H of the force; auto = as many as the sample rate allows, at most 15; 0 = none "
+        "(default: the rig's, else 0)",
         metavar="H",
         parse=_harmonics,
     )
     harmonics_target: str | None = option(
         None,
-        "force: to zero; modal: to the ratio to the fundamental that modal power needs, for which the linear "
-        "description must have three modes (default: the rig's, else force)",
+        "force: zero; modal: the ratio to the fundamental that modal power needs, with three linear modes (default: "
+        "the rig's, else force)",
         choices=("force", "modal"),
     )
     compare: int | None = option(
         None,
-        "with control of harmonics: every K-th level is measured without it first, which tells by how much it"
-        " "
-        "moves frequency and damping (default: never)",
+        "with controlled harmonics: measure every K-th level without control first, for the change of frequency and "
+        "damping (default: never)",
         metavar="K",
     )
     pll: str | None = option(
@@ -214,9 +202,8 @@ class RunOptions:
     )
     calibration: Path | None = option(
         None,
-        "calibration file with uncertainties of the sensors' sensitivities, for the uncertainty budget "
-        "(default: "
-        "section device of the rig file, else ordinary tolerances; none for a simulated rig)",
+        "calibration file of the sensors for the uncertainty budget (default: section device of the rig file, else "
+        "ordinary tolerances; none for a simulated rig)",
         metavar="FILE",
     )
     no_report: bool = option(False, "tables only; './nmt extract' makes a report of the bag at any time")

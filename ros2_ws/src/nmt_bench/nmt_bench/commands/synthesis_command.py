@@ -42,8 +42,7 @@ class SynthesisOptions:
     points: int = option(801, "frequencies of synthesis.csv (default: 801)", metavar="N")
     resonance: str | None = option(
         None,
-        "a secondary resonance in place of the response: where its lag is that of resonance, and the isola, at the "
-        "forces of --levels (default: none)",
+        "a secondary resonance and its isola at the forces of --levels (default: none)",
         choices=("3:1", "1:3"),
     )
     out: Path = dated_folder_option("synthesis.csv or secondary.csv, report.html", "synthesis")

@@ -13,7 +13,7 @@ class ComparisonThresholds:
 
     prior_none: float = threshold(
         0.6, "1",
-        "Most models that are tested lack nothing that these tests show.",
+        "Most tested models lack nothing.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.prior_none]",
     )  # fmt: skip
     prior_one_effect: float = threshold(
@@ -33,35 +33,32 @@ class ComparisonThresholds:
     )  # fmt: skip
     noise_probability: float = threshold(
         0.05, "1",
-        "Probability that what an explanation leaves is noise below which something unnamed is beside it: the "
-        "usual 5 %.",
+        "Significance of noise against an unnamed cause.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.noise_probability]",
     )  # fmt: skip
     too_weak_share: float = threshold(
         0.16, "1",
-        "Share of tests without a gap in which something acts that shows in no row: 4 of 25 of laboratories one and "
-        "three.",
+        "Tests with an effect too weak to show: 4 of 25 in laboratories.",
         "tests/diagnose/test_hidden_effects.py::test_what_the_next_test_adds_is_its_share_of_the_range_of_strengths",
     )  # fmt: skip
     partial_named_share: float = threshold(
         0.44, "1",
-        "Share of partial explanations whose truth the library has; the others are of laws that it lacks: 7 of 16 in "
-        "laboratories one, two and three.",
+        "Partial explanations with a true library effect: 7 of 16.",
         "tests/diagnose/test_credible_answers.py::test_a_partial_explanation_leaves_room_for_what_the_library_lacks",
     )  # fmt: skip
     credible_probability: float = threshold(
         0.95, "1",
-        "Probability of the answers that are stated together: the usual 95 %.",
+        "Probability of the stated set of answers.",
         "tests/diagnose/test_credible_answers.py::test_the_fewest_answers_hold_95_per_cent",
     )  # fmt: skip
     fewest_levels_of_trend: int = threshold(
         5, "levels",
-        "Levels of a test from which those at one end are compared with the others.",
+        "Levels that a comparison of the ends needs.",
         "tests/diagnose/test_trend_over_levels.py::test_few_levels_have_no_trend",
     )  # fmt: skip
     place_form_std: float = threshold(
         0.02, "1",
-        "Error of an ordinary model's mode shapes at a point, and so of what an effect there does to the rows.",
+        "Shape error of an ordinary model at a point.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.place_form_std]",
     )  # fmt: skip
     equivalent_sigmas: float = threshold(
@@ -76,31 +73,31 @@ class ComparisonThresholds:
     )  # fmt: skip
     credible_sigmas: float = threshold(
         3.0, "prior deviations",
-        "Beyond three deviations of its prior a parameter is not believed.",
+        "A parameter further from its prior is implausible.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.credible_sigmas]",
     )  # fmt: skip
     limit_std: float = threshold(
         0.5, "1",
-        "Relative standard deviation of a limit that physics sets, of a drag coefficient for example.",
+        "Relative spread of a physical limit.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[comparison.limit_std]",
     )  # fmt: skip
     incredible_probability: float = threshold(
         0.01, "1",
-        "Probability that any parameter is as far off as the furthest below which an explanation is not adequate.",
+        "Significance of the furthest parameter.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.incredible_probability]",
     )  # fmt: skip
     source_level_length: float = threshold(
         1.5, "ln level",
-        "Range of ln level over which an unnamed source keeps its size.",
+        "Range of ln level with a constant unnamed source.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.source_level_length]",
     )  # fmt: skip
     source_line_length: float = threshold(
         0.7, "ln frequency",
-        "Range of ln frequency over which an unnamed source keeps its size.",
+        "Range of ln frequency with a constant unnamed source.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.source_line_length]",
     )  # fmt: skip
     source_least_eigenvalue: float = threshold(
         0.01, "1",
-        "Share of the largest eigenvalue below which a smooth course adds nothing.",
+        "Smaller eigenvalues add nothing.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[comparison.source_least_eigenvalue]",
     )  # fmt: skip

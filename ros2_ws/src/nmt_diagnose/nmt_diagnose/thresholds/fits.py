@@ -13,22 +13,22 @@ class FitThresholds:
 
     scale_degrees_of_freedom: float = threshold(
         6.0, "1",
-        "Stated noise is right to a factor of about 1.5; degrees of freedom of the prior of a scale.",
+        "Prior of a noise scale: a factor of 1.5.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[fits.scale_degrees_of_freedom]",
     )  # fmt: skip
     converged_cost_fall: float = threshold(
         0.2, "−2 ln p",
-        "A promised fall of 0.2 is a step of √0.2 = 0.45 standard deviations.",
+        "Equals a step of 0.45 standard deviations.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[fits.converged_cost_fall]",
     )  # fmt: skip
     largest_log_ratio: float = threshold(
         3.0, "1",
-        "Ln of a predicted over a measured line beyond which it is as good as anywhere: keeps trial steps finite.",
+        "Bounds trial steps at far-off lines.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[fits.largest_log_ratio]",
     )  # fmt: skip
     least_solved_share: float = threshold(
         0.3, "1",
-        "Share of the rows below which a model without solutions cannot be compared.",
+        "With fewer solved rows models cannot be compared.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[fits.least_solved_share]",
     )  # fmt: skip
     strength_std: float = threshold(
@@ -38,7 +38,7 @@ class FitThresholds:
     )  # fmt: skip
     strength_spreads: tuple[float, ...] = threshold(
         (1.0, 10.0, 100.0), "1",
-        "A nonlinear force may be many times the linear one: so many times the prior, each less probable.",
+        "Wider, less probable priors of a nonlinear strength.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[fits.strength_spreads]",
     )  # fmt: skip
     shape_std: float = threshold(

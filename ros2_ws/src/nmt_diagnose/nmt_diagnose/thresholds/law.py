@@ -13,113 +13,112 @@ class LawThresholds:
 
     force_share: float = threshold(
         0.002, "1",
-        "Force residual over the modal force that acts: what ordinary cells and loops repeat within, 0.15 to 0.3 %.",
+        "Force repeatability of cells and loops: 0.15 to 0.3 %.",
 
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     shape_share: float = threshold(
         1e-4, "1",
-        "Shape of a level over the response: how well ordinary accelerometers repeat from level to level.",
+        "Repeatability of accelerometer shapes between levels.",
 
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     harmonic_share: float = threshold(
         1e-5, "1",
-        "Harmonics over the fundamental that sensors make of their own: a hundredth of the harmonic that matters.",
+        "Harmonics made by sensors: 1 % of one that matters.",
 
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     mode_frequency_std: float = threshold(
-        0.01, "1", "Natural frequencies of a model that was not fitted: two moduli of 1 % each, half of their sum.",
+        0.01, "1", "Natural frequency of an unfitted model.",
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     mode_damping_std: float = threshold(
-        0.3, "1", "Damping ratios of a model, as in the table of model priors.",
+        0.3, "1", "Damping ratio of a model, as its prior.",
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     least_damping_std: float = threshold(
-        2e-4, "1", "Damping ratio that a model without damping may lack: that of a welded structure.",
+        2e-4, "1", "Damping missing in an undamped model: a welded structure.",
         "tests/diagnose/test_law_thresholds.py::test_the_damping_that_a_model_without_any_may_lack_is_stated",
     )  # fmt: skip
     transfer_std: float = threshold(
-        0.02, "1", "Response far from its modes to a local force: gain of the sensor, form and mass of the modes.",
+        0.02, "1", "Response to a local force: gain, shape and modal mass.",
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     form_std: float = threshold(
-        0.01, "1", "Form of the mode under test at a sensor: as a gain, 1 %.",
+        0.01, "1", "Shape of the tested mode at a sensor.",
         "tests/diagnose/test_law_thresholds.py::test_rows_and_errors_are_as_uncertain_as_stated",
     )  # fmt: skip
     least_resolution: float = threshold(
-        0.1, "1", "Least singular value of shapes of near modes at the sensors: below it 1 % of form is 10 % of q.",
+        0.1, "1", "Smallest singular value of near shapes: 1 % becomes 10 % of q.",
         "tests/diagnose/test_law_near_modes.py::test_sensors_that_do_not_tell_near_modes_apart_are_no_reading",
     )  # fmt: skip
     fewest_levels: int = threshold(
-        4, "1", "Levels from which one can be left out between the lowest and the highest.",
+        4, "1", "Levels that allow one to be held out inside.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     least_motion_share: float = threshold(
-        0.03, "1", "Motion of a place over the largest: forces where nothing moves are not seen.",
+        0.03, "1", "Forces at smaller motion do not show.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     open_motion_share: float = threshold(
-        0.2, "1", "What noise leaves open of the motion of a place of a driven record, over it: forms lose 4 % by it.",
+        0.2, "1", "Motion uncertainty of a place: 4 % loss in shape.",
         "tests/diagnose/test_driven_law.py::test_a_place_whose_motion_no_channel_tells_is_not_named",
     )  # fmt: skip
     largest_slip_share: float = threshold(
-        0.7, "1", "Largest slip displacement over the largest motion: what hardly slips is a spring.",
+        0.7, "1", "A larger slip displacement is a spring.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     alike_score_ratio: float = threshold(
-        1.12, "1", "Score over the best up to which the law of fewest elements is taken.",
+        1.12, "1", "Among scores within it the fewest elements win.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     shape_score_ratio: float = threshold(
-        1.01, "1", "Score over that of a longer law of the same family up to which a record's law is the shorter one.",
+        1.01, "1", "Score ratio that a longer law of a record must beat.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     place_score_ratio: float = threshold(
-        1.3, "1", "Score over the best up to which places are not told apart.",
+        1.3, "1", "Score ratio up to which places are indistinguishable.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     told_score_ratio: float = threshold(
-        0.5, "1", "Score with the law over that without it from which on it is told.",
+        0.5, "1", "Score ratio, with over without the law, that reports it.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     second_score_ratio: float = threshold(
-        0.75, "1", "Score with a second law over that of the first alone from which on it is told.",
+        0.75, "1", "Score ratio, two laws over one, that reports the second.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     least_null_score: float = threshold(
-        1.0, "1", "Score of the model without a law below which nothing is read: that is noise and tolerances.",
+        1.0, "1", "Smaller scores without a law are noise.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     pull_sigmas: float = threshold(
-        3.0, "1", "Errors of chain and model beyond so many of their standard deviations: the law is not told.",
+        3.0, "1", "Larger errors of chain and model refuse the law.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     second_from_score: float = threshold(
-        0.5, "1", "Score from which on a second law is looked for: healthy structures leave 0.2 to 0.5 of tolerances.",
+        0.5, "1", "Healthy structures leave 0.2 to 0.5.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     single_closure: float = threshold(
-        0.95, "1", "Share of the gap closed by a law from which on a second must halve the rest: grids leave 1 to 5 %.",
+        0.95, "1", "Beyond it a second law must halve the remainder.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     clear_score_ratio: float = threshold(
         0.5, "1",
-        "Score with a second law over that of a first that closes nearly all from which on it is told; of a record "
-        "also that of the law beside a late force over that of the law in step.",
+        "Score ratio for a second law after near closure, or a delayed force.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     start_score_ratio: float = threshold(
-        0.8, "1", "Score with the law over that without it from which on the search begins at it, too.",
+        0.8, "1", "Score ratio from which the search starts at the law.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     dry_stick_share: float = threshold(
-        0.2, "1", "The same over the motion of the smallest level, at most.",
+        0.2, "1", "The same over the smallest level's motion.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
     dry_slip_share: float = threshold(
-        0.02, "1", "Slip displacement over the largest motion with which a slider stands for dry friction.",
+        0.02, "1", "Slip displacement share below which friction is dry.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip

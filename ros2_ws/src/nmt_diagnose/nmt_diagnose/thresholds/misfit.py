@@ -13,7 +13,7 @@ class MisfitThresholds:
 
     shared_share: float = threshold(
         0.2, "size that matters",
-        "Misfit that neighbouring levels and lines share, of a model that lacks nothing.",
+        "Shared misfit of neighbours in a complete model.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[misfit.shared_share]",
     )  # fmt: skip
     independent_share: float = threshold(
@@ -33,37 +33,36 @@ class MisfitThresholds:
     )  # fmt: skip
     static_share_above: float = threshold(
         0.2, "1",
-        "Modes above the band as a share of the static flexibility of those that the model has.",
+        "Static flexibility of modes above the band over that modelled.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[misfit.static_share_above]",
     )  # fmt: skip
     static_share_below: float = threshold(
         0.05, "1",
-        "Modes below the band, such as of a suspension, as the same share.",
+        "The same of modes below, such as a suspension.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[misfit.static_share_below]",
     )  # fmt: skip
     static_frequency_ratio: float = threshold(
         0.1, "1",
-        "Frequency over the resonance's at which the static flexibility is taken.",
+        "Frequency, over the resonance, of the static flexibility.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[misfit.static_frequency_ratio]",
     )  # fmt: skip
     large_log_ratio: float = threshold(
         1.0, "ln",
-        "Measured over predicted magnitude at which no mean lies between them.",
+        "Ratio of magnitudes beyond which they have no common mean.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[misfit.large_log_ratio]",
     )  # fmt: skip
     shape_reach: float = threshold(
         2.0, "1",
-        "Frequencies of modes over those of the rows beyond which a mode adds a constant at most.",
+        "Modes beyond this frequency ratio add a constant.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[misfit.shape_reach]",
     )  # fmt: skip
     largest_mesh_change: float = threshold(
         0.2, "1",
-        "Near a sharp resonance or zero the change by a finer mesh is not in proportion to the error.",
+        "Beyond it mesh changes are not linear.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[misfit.largest_mesh_change]",
     )  # fmt: skip
     least_chain_error: float = threshold(
         1e-3, "1",
-        "What an error of a measuring chain changes in all rows together, squared and over their noise, below which it "
-        "is left out: its variance is the prior's to a thousandth.",
+        "Weaker chain errors keep their prior variance and are left out.",
         "tests/diagnose/test_measured_noise.py::test_errors_of_the_chain_that_no_row_shows_are_left_out",
     )  # fmt: skip

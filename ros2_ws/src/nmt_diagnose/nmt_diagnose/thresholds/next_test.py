@@ -13,19 +13,17 @@ class NextTestThresholds:
 
     least_sigmas: float = threshold(
         3.0, "σ",
-        "A test that tells less apart is not proposed to a person.",
+        "Weaker tests are not proposed.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[next_test.least_sigmas]",
     )  # fmt: skip
     least_asked_sigmas: float = threshold(
         1.0, "σ",
-        "An investigation makes no test that tells rivals less apart, nor goes up a plan whose levels that are left "
-        "do, all together.",
+        "Weaker tests between rivals are not made.",
         "tests/diagnose/test_investigation.py::test_levels_that_tell_rivals_little_apart_are_not_made",
     )  # fmt: skip
     least_information: float = threshold(
         1e-3, "nat",
-        "An investigation makes no test between rivals that is expected to tell less: something unnamed acts, or the "
-        "question is settled.",
+        "Less informative tests between rivals are not made.",
         "tests/diagnose/test_investigation.py::test_a_test_that_tells_next_to_nothing_is_not_made",
     )  # fmt: skip
     doubtful_probability: float = threshold(
@@ -35,21 +33,21 @@ class NextTestThresholds:
     )  # fmt: skip
     random_seconds: float = threshold(
         123.0, "s",
-        "Bench time of './nmt linear' as it comes: two records of a minute and what they need to begin and to end.",
+        "Bench time of './nmt linear' with its defaults.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[next_test.random_seconds]",
     )  # fmt: skip
     typical_response_std: float = threshold(
         5e-3, "1",
-        "Uncertainty of a line of a random test of which the tests at hand hold none.",
+        "Uncertainty of an unmeasured random line.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[next_test.typical_response_std]",
     )  # fmt: skip
     second_class_share: float = threshold(
         0.02, "1",
-        "Probability of the second class over the first from which a test between them is sought.",
+        "Relative probability of the second class that asks a test.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[next_test.second_class_share]",
     )  # fmt: skip
     strength_decades: float = threshold(
         3.0, "decades",
-        "Strengths of effects spread over as many: from what noise hides to what anyone sees.",
+        "Range of strengths, from hidden to obvious.",
         "tests/diagnose/test_hidden_effects.py::test_what_the_next_test_adds_is_its_share_of_the_range_of_strengths",
     )  # fmt: skip

@@ -13,18 +13,17 @@ class NoiseThresholds:
 
     drift_sigmas: float = threshold(
         4.0, "σ",
-        "A drift over the window that its noise makes once in 16 000 windows.",
+        "Noise makes such a drift once in 16 000 windows.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[noise.drift_sigmas]",
     )  # fmt: skip
     lean_ratio: float = threshold(
         2.0, "1",
-        "Mean over the window of a transient over its change from begin to end: measured 1.8 on the joint "
-        "resonator.",
+        "Mean of a transient over its change: 1.8 measured.",
         "tests/diagnose/test_threshold_numbers.py::test_a_phase_that_drifts_leans_by_twice_its_change",
     )  # fmt: skip
     stepped_default_std: float = threshold(
         0.02, "1",
-        "Relative noise of a table that neither states any nor has lines enough to show it.",
+        "Relative noise of a table that shows none.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[noise.stepped_default_std]",
     )  # fmt: skip
     stepped_fewest_for_scatter: int = threshold(
@@ -34,8 +33,7 @@ class NoiseThresholds:
     )  # fmt: skip
     median_relative_std: float = threshold(
         1.7, "1",
-        "Relative standard deviation of a scatter by the median of n distances, times √n (simulated, 30 to 400 "
-        "values).",
+        "Relative error of a median-based scatter, times √n (simulated).",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.median_relative_std]",
     )  # fmt: skip
     table_default_std: float = threshold(
@@ -50,18 +48,17 @@ class NoiseThresholds:
     )  # fmt: skip
     cubic_relative_std: float = threshold(
         1.3, "1",
-        "Relative standard deviation of a scatter of n points about the cubics through their neighbours, times "
-        "√n.",
+        "Relative error of the scatter about local cubics, times √n.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.cubic_relative_std]",
     )  # fmt: skip
     scatter_fewest_rows: int = threshold(
         3, "rows",
-        "Rows with neighbours from which a group shows how much it scatters; fewer leave the bound without meaning.",
+        "Rows with neighbours that a scatter estimate needs.",
         "tests/diagnose/test_row_scatter.py::test_a_threshold_of_the_scatter_decides[scatter_fewest_rows]",
     )  # fmt: skip
     scatter_probability: float = threshold(
         0.05, "1",
-        "Probability that rows with the largest noise that is allowed scatter as little as they do: the usual 5 %.",
+        "Probability of so little scatter at the largest allowed noise.",
         "tests/diagnose/test_row_scatter.py::test_a_threshold_of_the_scatter_decides[scatter_probability]",
     )  # fmt: skip
     floor_fewest_pairs: int = threshold(
@@ -86,11 +83,11 @@ class NoiseThresholds:
     )  # fmt: skip
     settling_sigmas: float = threshold(
         4.0, "σ",
-        "Deviations from which a channel shows a transient: noise makes as much in one of 250.",
+        "Noise shows such a transient once in 250.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.settling_sigmas]",
     )  # fmt: skip
     settling_inexact: float = threshold(
         0.02, "1",
-        "What a transient differs from an exponential by: the loop moves, and damping depends on the amplitude.",
+        "Deviation of a transient from an exponential.",
         "tests/diagnose/test_threshold_numbers.py::test_the_form_of_a_transient_is_known_to_two_per_cent",
     )  # fmt: skip

@@ -13,12 +13,12 @@ class PredictionThresholds:
 
     resonance_search_share: float = threshold(
         0.25, "1",
-        "Part of the measured frequency within which the model's resonance is looked for.",
+        "Search range about the measured frequency.",
         "tests/diagnose/test_predictions.py::test_a_duffing_oscillator_in_closed_form",
     )  # fmt: skip
     far_off_ratio: float = threshold(
         2.0, "1",
-        "Measured over modelled motion beyond which the model is no measure of it.",
+        "Beyond this ratio of motion the model is unusable.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[prediction.far_off_ratio]",
     )  # fmt: skip
     most_joined_points: int = threshold(
@@ -28,22 +28,22 @@ class PredictionThresholds:
     )  # fmt: skip
     line_width: float = threshold(
         0.01, "1",
-        "Relative distance within which a line of the observations is that of the mains.",
+        "Lines this near to the mains count as mains.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[prediction.line_width]",
     )  # fmt: skip
     coarse_steps: float = threshold(
         64.0, "1",
-        "Steps of amplitude beyond which a staircase adds less than a hundredth of a step to any harmonic.",
+        "With more steps harmonics change below 1 % of a step.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.coarse_steps]",
     )  # fmt: skip
     noise_reach_sigmas: float = threshold(
         4.0, "σ",
-        "Deviations within which noise reaches a clipping level often enough to matter.",
+        "Noise within it often reaches a clipping level.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[prediction.noise_reach_sigmas]",
     )  # fmt: skip
     continued_log_step: float = threshold(
         0.5, "ln",
-        "Step of the motion from line to line beyond which a state is not the continuation of the one before.",
+        "Larger steps between lines change the branch.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[prediction.continued_log_step]",
     )  # fmt: skip
     delay_step_turns: float = threshold(
@@ -58,21 +58,21 @@ class PredictionThresholds:
     )  # fmt: skip
     largest_magnitude_sigmas: float = threshold(
         4.0, "σ",
-        "Standard deviations of a magnitude up to which its error corrects the phase.",
+        "Magnitude errors up to this correct the phase.",
         "tests/diagnose/test_threshold_edges_of_measurements.py::test_a_threshold_decides[prediction.largest_magnitude_sigmas]",
     )  # fmt: skip
     largest_shape_mix: float = threshold(
         1e-3, "1",
-        "Part of another shape that a shape may take in while the first order will do.",
+        "First-order bound for mixing two shapes.",
         "tests/diagnose/test_predictions.py::test_poles_are_followed_as_far_as_the_first_order_is_right_to_a_millionth",
     )  # fmt: skip
     far_pole_ratio: float = threshold(
         3.0, "1",
-        "Poles beyond the band by that factor hardly move those in it.",
+        "Poles beyond it hardly move those in the band.",
         "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[prediction.far_pole_ratio]",
     )  # fmt: skip
     unit_source_share: float = threshold(
         0.01, "1",
-        "Share of the fundamental that a unit source is: small enough for the first order.",
+        "A unit source within the first order.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[prediction.unit_source_share]",
     )  # fmt: skip

@@ -15,47 +15,47 @@ class GainThresholds:
 
     evidence: float = threshold(
         16.0, "1",
-        "Misfit that the gain takes away: four standard deviations, as every window asks this of every channel anew.",
+        "Misfit removed by the gain: four standard deviations.",
         _TEST + "[evidence]",
     )  # fmt: skip
     lead: float = threshold(
         9.0, "1",
-        "Misfit that the gain of any other channel leaves beyond that of the one named: three standard deviations.",
+        "Lead over any other channel: three standard deviations.",
         _TEST + "[lead]",
     )  # fmt: skip
     misfit: float = threshold(
         1.0, "1",
-        "Misfit over the degrees of freedom that a gain may leave; with more, something else happens than a gain.",
+        "Remaining misfit over its degrees of freedom.",
         _TEST + "[misfit]",
     )  # fmt: skip
     smallest: float = threshold(
         0.05, "1",
-        "Deviation of a gain that is named: calibration, cables and mounting together stay below it.",
+        "Smallest named deviation, above ordinary calibration.",
         _TEST + "[smallest]",
     )  # fmt: skip
     model_shape: float = threshold(
         0.01, "1",
-        "Standard deviation of a shape's value, of it, where the description states none: as of ordinary gains.",
+        "Relative error of an unqualified shape.",
         _TEST + "[model_shape]",
     )  # fmt: skip
     shape_floor: float = threshold(
         5e-4, "1",
-        "The same of its largest value: modes beyond those described, and what matters to no result near a node.",
+        "The same of its largest value, for undescribed modes.",
         _TEST + "[shape_floor]",
     )  # fmt: skip
     mixing: float = threshold(
         3.0, "1",
-        "Share of a near mode over the shift of the frequency beside its distance: a force at one place mixes so.",
+        "Mode share over relative shift, by a local force.",
         _TEST + "[mixing]",
     )  # fmt: skip
     mixed: float = threshold(
         0.01, "1",
-        "Share of a near mode that a level may have for no reason that is known: drift from level to level.",
+        "Unexplained mode share of a level, as drift.",
         _TEST + "[mixed]",
     )  # fmt: skip
     driven: float = threshold(
         0.2, "1",
-        "Error of the share that the exciters drive, of it: damping of a near mode is known to that.",
+        "Relative error of the driven share, by damping.",
         _TEST + "[driven]",
     )  # fmt: skip
 
@@ -69,27 +69,27 @@ class LinearThresholds:
 
     active_phase_deg: float = threshold(
         2.0, "°",
-        "Phase of a mobility beyond ±90° from which a line counts as one at which the structure would give power.",
+        "Phase beyond ±90° of an active line.",
         _LINEAR + "[active_phase_deg]",
     )  # fmt: skip
     active_share: float = threshold(
         0.1, "1",
-        "Share of such lines within an octave of a mode from which the channels at the drive point are named.",
+        "Share of active lines that names channels.",
         _LINEAR + "[active_share]",
     )  # fmt: skip
     deviations: float = threshold(
         4.0, "standard uncertainties",
-        "By so many a phase must lie beyond its limit: some thousand lines are looked at.",
+        "Significance for a thousand lines.",
         _LINEAR + "[deviations]",
     )  # fmt: skip
     phase_deg: float = threshold(
         5.0, "°",
-        "Phase of a residue from which a channel is named, as of a window's force and velocity.",
+        "Residue phase that names a channel.",
         _LINEAR + "[phase_deg]",
     )  # fmt: skip
     strong_share: float = threshold(
         0.2, "1",
-        "Residue over the mode's largest from which its phase is looked at: near a node other modes turn it.",
+        "Smaller residues are turned by other modes.",
         _LINEAR + "[strong_share]",
     )  # fmt: skip
     fewest_lines: int = threshold(
@@ -99,17 +99,17 @@ class LinearThresholds:
     )  # fmt: skip
     hum_ratio: float = threshold(
         10.0, "1",
-        "Power of a line that no force makes over the largest of its neighbours: 20 averages scatter by a factor of 2.",
+        "Line power over neighbours: 20 averages scatter by 2.",
         _LINEAR + "[hum_ratio]",
     )  # fmt: skip
     hum_share: float = threshold(
         1e-3, "1",
-        "Rms of such a line over the channel's from which it is named: less changes no fit.",
+        "Relative rms that changes no fit.",
         _LINEAR + "[hum_share]",
     )  # fmt: skip
     hum_resolution_hz: float = threshold(
         1.0, "Hz",
-        "Distance of the lines up to which one of them can be told to be the mains.",
+        "Line spacing that identifies mains.",
         _LINEAR + "[hum_resolution_hz]",
     )  # fmt: skip
 

@@ -18,13 +18,12 @@ class ChannelFaultThresholds:
     )  # fmt: skip
     clipped_fewest_visits: int = threshold(
         3, "1",
-        "Times that the signal came to the level: a single stop is a rest.",
+        "Visits to the level: one stop is a rest.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.clipped_fewest_visits]",
     )  # fmt: skip
     clipped_crowding: float = threshold(
         5.0, "1",
-        "Samples at the level over those at any value next to it: of a sine in steps the last value holds at most "
-        "2.4 times as many as the one before, the arc sine of a step against that of two.",
+        "Samples at the level over the next: a sine has 2.4.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.clipped_crowding]",
     )  # fmt: skip
     clipped_neighbours: int = threshold(
@@ -44,12 +43,12 @@ class ChannelFaultThresholds:
     )  # fmt: skip
     flat_share: float = threshold(
         0.04, "periods",
-        "Part of a period at the extreme from which the top is flat; a sine has 0.025 there.",
+        "Flat part of a period; a sine has 0.025.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.flat_share]",
     )  # fmt: skip
     step_samples: int = threshold(
         8192, "samples",
-        "Samples that are looked at for a step: enough for every value of a coarse converter.",
+        "Samples searched for a converter step.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.step_samples]",
     )  # fmt: skip
     step_fewest_values: int = threshold(
@@ -59,22 +58,22 @@ class ChannelFaultThresholds:
     )  # fmt: skip
     step_rounding: float = threshold(
         0.02, "steps",
-        "Share of a step by which rounding of the numbers may move a value.",
+        "Rounding of numbers over a step.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.step_rounding]",
     )  # fmt: skip
     finest_step: float = threshold(
         1e-7, "ranges",
-        "A step of 24 bits is 6e-8 of the range; finer differences are rounding.",
+        "Finer than 24 bits is rounding.",
         "tests/diagnose/test_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.finest_step]",
     )  # fmt: skip
     mains_longest_s: float = threshold(
         4.0, "s",
-        "The mains wanders by 0.05 Hz: over longer pieces a line of fixed frequency would lose it.",
+        "Mains wanders by 0.05 Hz over longer pieces.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.mains_longest_s]",
     )  # fmt: skip
     mains_clearance_lines: float = threshold(
         3.0, "lines",
-        "Distance from a harmonic within which its side lobes cover the mains.",
+        "Side lobes of a harmonic cover nearer mains.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.mains_clearance_lines]",
     )  # fmt: skip
     mains_fewest_neighbours: int = threshold(
@@ -94,12 +93,11 @@ class ChannelFaultThresholds:
     )  # fmt: skip
     repeats_steepness: float = threshold(
         0.5, "rms step",
-        "Steps of the signal over the typical one from which a repeat is none of the signal's own.",
+        "Typical steps from which a repeat is a fault.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.repeats_steepness]",
     )  # fmt: skip
     repeats_crowding: float = threshold(
         3.0, "1",
-        "Noise and a coarse converter make as many steps of one value up and down as repeats: so many times as "
-        "many are no chance.",
+        "Repeats over such steps in one direction only.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.channel_faults.repeats_crowding]",
     )  # fmt: skip

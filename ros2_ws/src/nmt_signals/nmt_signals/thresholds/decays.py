@@ -13,22 +13,22 @@ class DecayThresholds:
 
     hum_fewest_beats: float = threshold(
         3.0, "beats",
-        "Fewer beats between mode and mains do not tell them apart.",
+        "Fewer beats do not separate mode and mains.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_fewest_beats]",
     )  # fmt: skip
     hum_passing_share: float = threshold(
         0.05, "1",
-        "Share of a decay in which the mode may pass the line of the mains.",
+        "Share of a decay that crosses the mains.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_passing_share]",
     )  # fmt: skip
     hum_roughness: float = threshold(
         0.05, "1",
-        "Share of the mode's amplitude by which the smooth course may be wrong.",
+        "Relative error of the smooth amplitude.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_roughness]",
     )  # fmt: skip
     hum_sigmas: float = threshold(
         6.0, "σ",
-        "Amplitude over its uncertainty from which a hum is taken out.",
+        "Significance from which hum is removed.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_sigmas]",
     )  # fmt: skip
     node_sigmas: float = threshold(
@@ -38,7 +38,7 @@ class DecayThresholds:
     )  # fmt: skip
     unsettled_ratio: float = threshold(
         3.0, "1",
-        "Residual of a segment over that of the last from which something else rings in it.",
+        "Residual ratio that shows another component.",
         "tests/diagnose/test_threshold_edges_of_predictions.py::test_a_threshold_decides[signals.decays.unsettled_ratio]",
     )  # fmt: skip
     fast_log_fall: float = threshold(
@@ -48,7 +48,7 @@ class DecayThresholds:
     )  # fmt: skip
     fewest_periods: int = threshold(
         12, "periods",
-        "Fewer periods do not carry an amplitude and a frequency that change.",
+        "Fewer do not determine a changing amplitude.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.fewest_periods]",
     )  # fmt: skip
     fewest_samples_per_period: float = threshold(
@@ -63,12 +63,12 @@ class DecayThresholds:
     )  # fmt: skip
     ridge_log_change: float = threshold(
         0.25, "1",
-        "Relative change of frequency from frame to frame that is followed.",
+        "Relative frequency change between frames.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.ridge_log_change]",
     )  # fmt: skip
     other_ridge_share: float = threshold(
         0.01, "1",
-        "Share of the strongest ridge's energy below which another is none.",
+        "Weaker ridges are ignored.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.other_ridge_share]",
     )  # fmt: skip
     ridge_peak_ratio: float = threshold(
@@ -78,32 +78,32 @@ class DecayThresholds:
     )  # fmt: skip
     turning_fewest_samples: int = threshold(
         10, "samples",
-        "Samples of a period that turning points need: fewer leave nothing above the third harmonic to tell noise by.",
+        "Samples a period that show the noise above order three.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_fewest_samples]",
     )  # fmt: skip
     turning_interval_periods: tuple[float, ...] = threshold(
         (0.35, 0.7), "periods",
-        "Time between turning points, half a period of a motion that changes.",
+        "Expected time between turning points.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.turning_interval_periods]",
     )  # fmt: skip
     turning_sigmas: float = threshold(
         10.0, "σ",
-        "Swing over the noise from which a turning point is one.",
+        "Significance of a turning point.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.turning_sigmas]",
     )  # fmt: skip
     turning_smallest_share: float = threshold(
         0.02, "1",
-        "Share of the largest swing below which the decay has ended.",
+        "Swing at which the decay has ended.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_smallest_share]",
     )  # fmt: skip
     turning_fine_samples: int = threshold(
         40, "samples",
-        "Samples of a period to which coarser ones are interpolated: eight on the fitted piece.",
+        "Interpolated samples a period.",
         "tests/extract/test_short_decays.py::test_ten_samples_a_period_are_enough",
     )  # fmt: skip
     turning_fewest_swings: int = threshold(
         3, "half swings",
-        "Two of them make a frequency and a damping, the third shows that the second was no end.",
+        "Two give frequency and damping, the third confirms.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.turning_fewest_swings]",
     )  # fmt: skip
     switch_off_periods: int = threshold(
@@ -118,7 +118,7 @@ class DecayThresholds:
     )  # fmt: skip
     narrower_gain: float = threshold(
         0.5, "1",
-        "Share of the uncertainty from which a narrower band is taken.",
+        "Reduction of uncertainty that narrows the band.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[signals.decays.narrower_gain]",
     )  # fmt: skip
     largest_log_std: float = threshold(

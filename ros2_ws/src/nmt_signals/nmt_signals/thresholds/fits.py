@@ -18,12 +18,12 @@ class SignalFitThresholds:
     )  # fmt: skip
     local_resonance_gain: float = threshold(
         15.0, "ln likelihood",
-        "A resonance is there where it raises the log-likelihood of the lines around it by so much.",
+        "Gain in log-likelihood that shows a resonance.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.fits.local_resonance_gain]",
     )  # fmt: skip
     driven_share: float = threshold(
         0.25, "1",
-        "Power of the drive over its largest from which a line is driven.",
+        "Relative drive power of a driven line.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.fits.driven_share]",
     )  # fmt: skip
     highest_share: float = threshold(

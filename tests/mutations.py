@@ -210,7 +210,7 @@ MUTATIONS = [
             "blocks that lengthen the test are chosen",
         ),
         (
-            "nmt_diagnose/nmt_diagnose/observations/noise/floors.py",
+            "nmt_diagnose/nmt_diagnose/observations/observation_settings.py",
             "return self.phase_error * math.sqrt(levels)",
             "return self.phase_error",
             "the floor of the phase is averaged away by many levels",

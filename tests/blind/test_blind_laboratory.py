@@ -16,8 +16,8 @@ from nmt_blind.cases.laboratory_rig import Converters
 from nmt_blind.cases.quiet_tests import play_backbone, play_random
 from nmt_blind.cases.rig_edits import Edit, with_edits
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.offline import extract_bag

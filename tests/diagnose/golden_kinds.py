@@ -62,7 +62,7 @@ def golden(kind: str) -> dict[str, Any]:
         texts["held"] = [levels.numbers, [channel.name for channel in levels.channels]]
     zero = np.zeros(len(observed.rows))
     texts["map"] = [repr(it) for it in residual_map(observed, zero + 1.0, zero + 2.0, zero + 3.0)]
-    texts["label"] = [observed.tests[0].axis, level_names(observed.tests)]
+    texts["label"] = [observed.tests[0].axis.label, level_names(observed.tests)]
     models = Models(prediction.values, prediction.values, prediction.values)
     for part in Part:
         for number, course in enumerate(courses(observed, models, 0, part)):

@@ -8,9 +8,10 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.random_responses import RandomResponses
+from nmt_diagnose.observations.observables import Part, Rows
 
 
 @dataclass(frozen=True)

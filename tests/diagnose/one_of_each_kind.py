@@ -13,13 +13,14 @@ from diagnose.predicted_tests import chain, channels_of, level, locked, noise_te
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.driven_record import DrivenRecord
+from nmt_diagnose.measurements.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.measurement import Observations, RowTable, joined
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
+from nmt_diagnose.observations.observables import Part, Place
 from nmt_diagnose.prediction.forward import Forward, traced
 from nmt_rig.rig import Rig
 

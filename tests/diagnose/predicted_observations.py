@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from diagnose.predicted_tests import chain, level, locked, noise_test, rows_of
 
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument

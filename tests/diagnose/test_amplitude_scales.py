@@ -21,10 +21,11 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_tables import table_observations
 from nmt_diagnose.prediction.forward import Forward

@@ -14,8 +14,9 @@ from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.chain.chain_tests import ChainTests
 from nmt_diagnose.chain.coupled_modes import CoupledModes
+from nmt_diagnose.measurements.measurement import joined
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Part, joined
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_tables import table_observations
 from nmt_record.exchange.reduced.observables import ObservableTable

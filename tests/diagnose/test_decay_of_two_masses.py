@@ -19,10 +19,11 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.measurements import recorded_decay as reading
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, validate_rig

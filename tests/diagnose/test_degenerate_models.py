@@ -23,8 +23,8 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Diagnosis
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.equivalent_linear import equivalents
 from nmt_diagnose.prediction.forward import Forward

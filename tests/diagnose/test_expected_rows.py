@@ -26,7 +26,8 @@ from nmt_core.kinds import (
 from nmt_core.kinds.request import TestRequest
 from nmt_core.vocabulary import ControlKind, TestKind
 from nmt_diagnose.ahead.expected_rows import NOT_FORETOLD, expected, reason_against
-from nmt_diagnose.observations.observables import Observations, Part, empty
+from nmt_diagnose.measurements.measurement import Observations, empty
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, load_rig

@@ -18,7 +18,7 @@ from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.fit.noise import Groups, chance_of
 from nmt_diagnose.ledger.comparison import source_locations
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.lateness import delay_of, lateness
 from nmt_diagnose.prediction.operating_range import operating_range

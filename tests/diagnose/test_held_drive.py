@@ -14,9 +14,10 @@ from scipy.signal import cont2discrete
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.random_responses.predictor import held_responses
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.random_responses import held_responses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import rig_parts
@@ -146,6 +147,6 @@ def test_responses_to_a_held_drive_are_those_of_a_first_order_hold() -> None:
 
 def test_modes_are_looked_for_below_the_images_of_a_held_drive() -> None:
     test, _ = noise_test(MODEL, 400.0, 600.0, 3)
-    assert np.isfinite(test.modal_lines_hz).all()
+    assert np.isfinite(test.modal_hz).all()
     held = replace(test, lines_hz=np.array([499.0, 501.0, 600.0]), drive_hold_hz=RATE_HZ)
-    np.testing.assert_array_equal(held.modal_lines_hz, [499.0, np.inf, np.inf])
+    np.testing.assert_array_equal(held.modal_hz, [499.0, np.inf, np.inf])

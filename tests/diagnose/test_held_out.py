@@ -4,7 +4,7 @@ from diagnose.linear_problem import observations_of
 
 from nmt_diagnose.ledger.gap import closed, rms
 from nmt_diagnose.ledger.held_out import splits
-from nmt_diagnose.observations.observables import joined
+from nmt_diagnose.measurements.measurement import joined
 
 
 def test_splits_hold_out_every_second_level_the_top_two_and_whole_tests():

@@ -12,7 +12,7 @@ from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.held_out import splits
-from nmt_diagnose.observations.observables import joined
+from nmt_diagnose.measurements.measurement import joined
 
 
 def test_exactly_the_named_tests_are_held_out() -> None:

@@ -16,8 +16,8 @@ from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_record.exchange.imports.imported_run import read_import, write_import

@@ -13,7 +13,8 @@ from nmt_core.kinds.request import TestRequest
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.investigation.checks import end_contradicted, ended_record, none_contradicted
 from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord, Turn
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 
 NO_GAP = "No unmodelled effect is claimed."
 

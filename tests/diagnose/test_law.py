@@ -20,10 +20,11 @@ from nmt_diagnose.law.reading import LawReading, read_law
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Observations, RowTable
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
+from nmt_diagnose.observations.observables import Part, Place
 from nmt_diagnose.search.law_starts import effects_of_law
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument

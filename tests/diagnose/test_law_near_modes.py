@@ -11,7 +11,7 @@ from diagnose.simulated_levels import held_sines, levels_of
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.reading import LawReading, read_law
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_rig.rig import Rig, load_rig
 
 JOINT = (3, "sliders", (), ((16000.0, 2.0),))

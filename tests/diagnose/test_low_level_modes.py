@@ -13,7 +13,7 @@ from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.fit.low_level_modes import LowLevelModes, Modes, disorder, measured_modes, modes_that_lack
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.observations.observables import RowTable, joined
+from nmt_diagnose.measurements.measurement import RowTable, joined
 
 LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY = 0.7, 0.0053, 0.0116, 185e9, 7830.0
 MASS = DENSITY * WIDTH * HEIGHT * LENGTH

@@ -31,9 +31,10 @@ from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.ledger.size import IMITATION
 from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Observations, RowTable
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable
+from nmt_diagnose.observations.observables import Part, Place
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.search.search import Search

@@ -15,8 +15,8 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.effects.location import Cause, Location
 from nmt_diagnose.ledger import held_out as held_out_module
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations import read_observations as reader
-from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.search import memory as memory_module
 from nmt_diagnose.search import search as search_module
 from nmt_diagnose.search.memory import Memory, Remembered

@@ -14,8 +14,8 @@ from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.fit.misfit import Whitening, least_scale, misfit_of, rows_of_kind
 from nmt_diagnose.fit.noise import Groups
 from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
 MODEL = chain()

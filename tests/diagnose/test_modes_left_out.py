@@ -13,8 +13,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import table_chain
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import ResidualSection, Rig

@@ -15,8 +15,9 @@ from tiers import with_quick
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import BlockFlag, OscillatorPhase, Quantity, SampleBlock
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test

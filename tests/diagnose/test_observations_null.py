@@ -10,7 +10,8 @@ from diagnose.observation_bags import record, rig_with_noise
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings

@@ -16,11 +16,11 @@ from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.measurements.backbone_table import BackboneTable
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.driven_record.reading import spread_samples, white_noise
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.random_responses.table_reading import noise_of_weak_lines
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.driven_record import DrivenRecord, spread_samples, white_noise
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.random_reading import noise_of_weak_lines
+from nmt_diagnose.measurements.random_responses import RandomResponses
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_record.exchange.imports.imported_run import read_import, write_import
 from nmt_signals.band_limited import finer

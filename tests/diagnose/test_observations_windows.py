@@ -17,15 +17,16 @@ from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_window import analyse_window
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.locked_window import analyse_window
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.noise.settling import settling
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
@@ -441,7 +442,7 @@ def test_the_shipped_rigs_make_views() -> None:
 
 
 def test_a_loop_that_still_settles_leans_and_a_steady_offset_does_not() -> None:
-    from nmt_diagnose.measurements.locked_windows.reading import phase_lean
+    from nmt_diagnose.measurements.locked_reading import phase_lean
 
     time = np.arange(10) / 10.0
     noise = 1e-5 * np.random.default_rng(3).standard_normal(10)

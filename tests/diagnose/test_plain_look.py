@@ -16,7 +16,8 @@ from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.ledger.plain_look import factors, share_left
-from nmt_diagnose.observations.observables import Observations, Part, joined
+from nmt_diagnose.measurements.measurement import Observations, holds_amplitude, joined
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 
 CHANNEL = {
@@ -52,7 +53,7 @@ def recorded(kind: str, factor: float) -> Observations:
         samples = rows & (observed.rows.part == Part.SAMPLE)
         values[samples] *= factor
         std[samples] *= abs(factor)
-        if test.held_amplitude:
+        if holds_amplitude(test):
             column: Any = np.where(np.arange(len(test.channels)) == index, factor, 1.0)
             tests[number] = replace(test, measured=test.measured * column)  # type: ignore[type-var, attr-defined]
     return replace(observed, values=values, std=std, tests=tuple(tests))

@@ -13,7 +13,7 @@ from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.low_level_modes import LowLevelModes, Modes
 from nmt_diagnose.fit.pole_slopes import PoleSlopes, RestingMatrices
-from nmt_diagnose.observations.observables import RowTable, joined
+from nmt_diagnose.measurements.measurement import RowTable, joined
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_model import build_system

@@ -22,8 +22,7 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import value_at, with_element, with_value
 from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.driven_record.predictor import stepped_model
+from nmt_diagnose.measurements.driven_record import DrivenRecord, stepped_model
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward

@@ -10,7 +10,7 @@ from diagnose.predicted_tests import rows_of
 from diagnose.test_stepped_sine import CHANNEL, DAMPER, OMEGA, oscillator
 from scipy.integrate import quad
 
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig

@@ -18,9 +18,7 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.driven_record.predictor import RecordPredictor
-from nmt_diagnose.measurements.driven_record.reading import head_of, starts_in_motion
+from nmt_diagnose.measurements.driven_record import DrivenRecord, RecordPredictor, head_of, starts_in_motion
 from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.parts_cache import PartsCache

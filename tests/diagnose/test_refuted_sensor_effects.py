@@ -12,7 +12,7 @@ from scipy.signal import cont2discrete, lfilter
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.library import candidates, effect_named
 from nmt_diagnose.ledger.gap import no_worse_than_silence, rms
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.operating_range import operating_range
 

@@ -12,7 +12,8 @@ from diagnose.test_warnings import GAP
 
 from nmt_diagnose.ledger.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
 from nmt_diagnose.ledger.size import IMITATION, Objection
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.say.remainder import remainder
 from nmt_diagnose.say.sentences import sentences
 

@@ -11,8 +11,9 @@ from diagnose.linear_problem import observations_of
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
-from nmt_diagnose.observations.noise.floors import Floors, repeatability, with_stated_repeatability
+from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.observations.observation_settings import Floors
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_rig.rig import load_rig
 

@@ -13,10 +13,11 @@ from scipy.special import ellipk
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay, ring_down_observations
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, validate_rig

@@ -16,8 +16,8 @@ from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.messages.records import LoopStatus
 from nmt_core.messages.wire import BlockReader, BlockWriter, write_status
 from nmt_core.vocabulary import LoopState, PointStatus
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag

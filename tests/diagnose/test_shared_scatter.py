@@ -12,10 +12,10 @@ from scipy.stats import f as fisher
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
-from nmt_diagnose.measurements.stepped_responses.table_reading import scatter_of_lines
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.stepped_reading import scatter_of_lines
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.noise.scatter import shrunk, with_shared_scatter
-from nmt_diagnose.observations.observables import Observations
 from nmt_diagnose.say.residual_tests import residual_tests
 from nmt_diagnose.thresholds import THRESHOLDS
 

@@ -13,6 +13,7 @@ from scipy.integrate import solve_ivp
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.ahead.frequency_sweep import frequency_sweep
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import candidates, library
@@ -20,12 +21,11 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
-from nmt_diagnose.measurements.stepped_responses.frequency_sweep import frequency_sweep
-from nmt_diagnose.measurements.stepped_responses.predictor import gain_error, whitened_difference
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
-from nmt_diagnose.measurements.stepped_responses.table_reading import jumps_of, scatter_of_lines
-from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.random_responses import RandomResponses
+from nmt_diagnose.measurements.stepped_reading import jumps_of, scatter_of_lines
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses, gain_error, whitened_difference
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward, traced
 from nmt_diagnose.prediction.operating_range import operating_range

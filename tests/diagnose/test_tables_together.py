@@ -9,7 +9,7 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
+from nmt_diagnose.measurements.stepped_reading import measured_together
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_tables import table_observations
@@ -116,7 +116,7 @@ def test_responses_without_a_level_are_over_what_they_were_divided_by(
     )
     found = table_observations("one", [given], model, ObservationSettings())
     predicted = Forward(found.tests, found.rows).predict(model).values
-    assert found.tests[0].referred_to == reference
+    assert found.tests[0].lines.reference == reference
     assert Forward(found.tests, found.rows).difference(found.values, predicted) == pytest.approx(0.0, abs=2e-3)
     if reference == "base":
         still = validate_rig(RigDocument("test", {**words, "exciter": {"kind": "force", "point": 1}}, {}))

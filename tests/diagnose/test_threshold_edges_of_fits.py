@@ -31,7 +31,7 @@ from nmt_diagnose.ledger.rules import IN_REACH, PROMISING, furthest_credible
 from nmt_diagnose.ledger.size import size_of_change
 from nmt_diagnose.ledger.sources import SourceColumn, _families, _smooth
 from nmt_diagnose.measurements.backbone_table import scatter_about_a_course
-from nmt_diagnose.measurements.stepped_responses.table_reading import scatter_of_lines
+from nmt_diagnose.measurements.stepped_reading import scatter_of_lines
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.noise.floors import repeatability
 from nmt_diagnose.observations.noise.settling import settling

@@ -24,15 +24,14 @@ from nmt_diagnose.fit.noise import sigma_of
 from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass
 from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record.reading import head_of, record_observations, start_of, white_noise
-from nmt_diagnose.measurements.imposed_motion.reading import independent_values
-from nmt_diagnose.measurements.locked_windows.reading import moderate
-from nmt_diagnose.measurements.locked_windows.rows_of_channels import Cell, UsedWindows, add_rows_of_channels
-from nmt_diagnose.measurements.random_responses.reading import lines_of
-from nmt_diagnose.measurements.random_responses.table_reading import response_table_observations
+from nmt_diagnose.measurements.driven_record import head_of, record_observations, start_of, white_noise
+from nmt_diagnose.measurements.imposed_motion import independent_values
+from nmt_diagnose.measurements.locked_reading import Cell, UsedWindows, add_rows_of_channels, moderate
+from nmt_diagnose.measurements.measurement import LevelSeries
+from nmt_diagnose.measurements.random_reading import lines_of, response_table_observations
 from nmt_diagnose.measurements.recorded_decay import add_nodes, notes_of
-from nmt_diagnose.measurements.stepped_responses.predictor import whitened_difference
-from nmt_diagnose.measurements.stepped_responses.table_reading import noise_of_lines
+from nmt_diagnose.measurements.stepped_reading import noise_of_lines
+from nmt_diagnose.measurements.stepped_responses import whitened_difference
 from nmt_diagnose.observations.bag_windows import BagWindows
 from nmt_diagnose.observations.observables import Part, Place
 from nmt_diagnose.prediction.forward import Forward
@@ -251,7 +250,7 @@ def neighbours(over_frequency: bool, log_ratio: float) -> float:
     values = np.array([1.0, math.exp(log_ratio)])
     zero = np.zeros(2, dtype=np.int64)
     rows = SimpleNamespace(test=zero, part=zero, channel=zero, harmonic=zero, frequency_hz=values, amplitude=values)
-    observations: Any = SimpleNamespace(rows=rows, tests=[SimpleNamespace(over_frequency=over_frequency)])
+    observations: Any = SimpleNamespace(rows=rows, tests=[SimpleNamespace(lines=over_frequency or None)])
     whitened = Whitening(observations, np.ones(2), np.ones(2, dtype=bool))(np.ones(2))
     return float(1.0 / whitened[0] ** 2 - 1.0)
 
@@ -284,7 +283,7 @@ def shape_modes(ratio: float) -> int:
 def loop_phase() -> float:
     """Phase that a loop may hold beside its set value at all levels, degrees."""
     rows = SimpleNamespace(test=np.zeros(1), part=np.array([Part.PHASE_ERROR]))
-    test = SimpleNamespace(name="run", locked_levels=(1,))
+    test = SimpleNamespace(name="run", locked=True)
     columns: Any = SimpleNamespace(tests=SimpleNamespace(tests=[test]), rows=rows, _image_size=np.zeros(1))
     return math.degrees(float(ChainBuilder.aims(columns)["aim run"][0]))
 
@@ -347,7 +346,7 @@ class Paired(LowLevelModes):
         )
         values = np.where(part == Part.PHASE, np.angle(response)[level], np.log(np.abs(response))[level])
         test: Any = SimpleNamespace(
-            name="test", channels=(MOTION, MOTION), drive_point=1, referred_to="", span_s=None
+            name="test", channels=(MOTION, MOTION), drive_point=1, reference="", span_s=None
         )  # fmt: skip
         self._looked.clear()
         self._add(0, test, line, SimpleNamespace(rows=rows, values=values), {})  # type: ignore[arg-type]
@@ -390,7 +389,8 @@ def swept_splits(levels: int) -> dict[str, int]:
     """Rows that each split of frequency responses at some levels holds out."""
     number = np.arange(levels)
     rows = Rows(test=number, level=0 * number, part=np.full(levels, Part.PHASE), amplitude=1.0 + number)
-    tests = [SimpleNamespace(interleaved=False, rising=False, sweep_key="sine", name=str(k)) for k in number]
+    lines = SimpleNamespace(sweep_key="sine")
+    tests = [SimpleNamespace(series=LevelSeries(), lines=lines, name=str(k)) for k in number]
     observations: Any = SimpleNamespace(rows=rows, tests=tests)
     return {split.name: int(split.held_out.sum()) for split in splits(observations)}
 

@@ -21,6 +21,7 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds import RandomTest, SteppedSineTest
 from nmt_core.kinds.request import TestRequest
 from nmt_core.vocabulary import ControlKind, Quantity
+from nmt_diagnose.ahead import frequency_sweep as sweeps
 from nmt_diagnose.ahead import next_tests as looking
 from nmt_diagnose.ahead.expected_rows import expected
 from nmt_diagnose.ahead.proposals import Proposal
@@ -31,10 +32,10 @@ from nmt_diagnose.effects.location import Explanation, Location
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.ledger import held_out
 from nmt_diagnose.measurements import recorded_decay as decays
-from nmt_diagnose.measurements.stepped_responses import frequency_sweep as sweeps
+from nmt_diagnose.measurements.measurement import RowTable, empty, joined
 from nmt_diagnose.observations import bag_windows
 from nmt_diagnose.observations.channels.measuring_chain import table_chain
-from nmt_diagnose.observations.observables import Part, RowTable, empty, joined
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.influence import Source
@@ -192,7 +193,7 @@ def stepped_levels(phase_rad: float) -> int:
         found = expected(request, oscillator(), empty())
     except BenchError:
         return 0
-    return len(found.tests[0].locked_levels)
+    return len(found.tests[0].levels)
 
 
 # -- decays and windows -----------------------------------------------------------------------------------------------

@@ -29,8 +29,8 @@ from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.ledger.judgement import _alone
 from nmt_diagnose.ledger.warnings import warned
 from nmt_diagnose.measurements.backbone_table import scatter_about_a_course
-from nmt_diagnose.measurements.driven_record.reading import refinement
-from nmt_diagnose.measurements.stepped_responses.table_reading import force_groups, jumps_of, scatter_of_lines
+from nmt_diagnose.measurements.driven_record import refinement
+from nmt_diagnose.measurements.stepped_reading import force_groups, jumps_of, scatter_of_lines
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.noise.settling import settling
 from nmt_diagnose.observations.observables import Part

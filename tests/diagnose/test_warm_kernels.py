@@ -7,10 +7,8 @@ from typing import Any
 
 import pytest
 
-from nmt_diagnose.measurements import recorded_decay
-from nmt_diagnose.measurements.locked_windows import predictor as locked_windows
-from nmt_diagnose.measurements.random_responses import predictor as random_responses
-from nmt_diagnose.measurements.stepped_responses import predictor as stepped_responses
+from nmt_diagnose.measurements import locked_prediction as locked_windows
+from nmt_diagnose.measurements import random_responses, recorded_decay, stepped_responses
 from nmt_diagnose.prediction import record_kernel
 from nmt_diagnose.prediction.warm_up import warm_up_predictions
 from nmt_rig.rig import load_rig

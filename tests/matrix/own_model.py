@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig
 

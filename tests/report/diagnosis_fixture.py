@@ -22,13 +22,14 @@ from nmt_diagnose.ledger.diagnosis import (
 )
 from nmt_diagnose.ledger.gap import rms
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.driven_record import DrivenRecord
+from nmt_diagnose.measurements.held_levels import LockedLevel
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import Observations, RowTable, joined
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
-from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, joined
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses
+from nmt_diagnose.observations.observables import Part, Place
 from nmt_diagnose.say.residual_map import per_observable, residual_map
 from nmt_report.diagnosis_curves import Models
 from nmt_report.diagnosis_report import DiagnosisReport

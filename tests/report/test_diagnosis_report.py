@@ -17,7 +17,8 @@ from report import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Answer, Ranked, Remainder, RemainderPart, Share, Value, Verdict
-from nmt_diagnose.observations.observables import Part, joined
+from nmt_diagnose.measurements.measurement import joined
+from nmt_diagnose.observations.observables import Part
 from nmt_report import diagnosis_figures, rig_drawing
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv, on_one_scale
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares

@@ -113,7 +113,7 @@ _FOLDERS: list[TemporaryDirectory[str]] = []
 @cache
 def diagnosed_pendulum(**log: float) -> RobotDiagnosis:
     """The diagnosis of a log with these parameters by the pendulum's file, made once a process."""
-    from nmt_robots.verdict.robot_diagnosis import diagnose_robot_by_logs
+    from nmt_robots.verdict.other_logs import diagnose_robot_by_logs
 
     _FOLDERS.append(TemporaryDirectory())
     folder = Path(_FOLDERS[-1].name)

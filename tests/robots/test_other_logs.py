@@ -13,8 +13,8 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not te
 from nmt_core.errors import BenchError
 from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.report.robot_page import robot_page
-from nmt_robots.verdict.other_logs import ComparedTerm, model_of_other_log
-from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot_by_logs
+from nmt_robots.verdict.other_logs import diagnose_robot_by_logs, model_of_other_log
+from nmt_robots.verdict.robot_diagnosis import ComparedTerm, RobotDiagnosis
 
 
 def by_two(folder: Path, first: float, second: float) -> RobotDiagnosis:

@@ -15,9 +15,9 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis
-from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
+from nmt_diagnose.measurements.measurement import Observations, joined
+from nmt_diagnose.measurements.stepped_reading import measured_together
 from nmt_diagnose.observations.channels.measuring_chain import table_chain
-from nmt_diagnose.observations.observables import Observations, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_tables import table_observations
 from nmt_record.exchange.reduced.observables import ObservableTable

@@ -40,7 +40,7 @@ from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Start
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import about, free_parameters, model_alone
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.search.findings import find
 from nmt_diagnose.search.search import Search

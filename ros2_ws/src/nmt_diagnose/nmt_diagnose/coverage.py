@@ -51,7 +51,7 @@ def refuse_unbalanced(model: Rig, tests: Sequence[Measurement]) -> None:
         BenchError: a test is no record and the model has such an element.
     """
     kinds = [section.kind_name() for section in model.local_elements if section.without_harmonic_balance]
-    others = [test for test in tests if not test.over_time]
+    others = [test for test in tests if test.record is None]
     if kinds and others:
         raise BenchError(
             f"{others[0].name} is a {others[0].WORDS}, and the diagnosis' model balances no {kinds[0]} over a period; "

@@ -38,7 +38,8 @@ from nmt_diagnose.ledger.ledger import ledger_of
 from nmt_diagnose.ledger.rules import GAP, NEEDED, WITHIN
 from nmt_diagnose.ledger.size import large_lines, measured_size, strained_chain
 from nmt_diagnose.ledger.warnings import frequencies_alone, warned, without_observables
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.say.law_sentences import law_sentences, led_by_law

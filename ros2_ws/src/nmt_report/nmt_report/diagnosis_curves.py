@@ -11,8 +11,8 @@ import numpy as np
 
 from nmt_core.files.whole_file import csv_text
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import HARMONICS, Observations, Part
+from nmt_diagnose.measurements.measurement import Measurement, Observations
+from nmt_diagnose.observations.observables import HARMONICS, Part
 from nmt_diagnose.say.residual_map import channel_name
 from nmt_report.quantity_format import engineering_exponent, power_of_ten
 
@@ -95,8 +95,8 @@ def level_names(tests: Sequence[Measurement]) -> list[str]:
     """Names of stepped sines of the same channels: level and direction of the frequency, a number if need be."""
     names: list[str] = []
     for test in tests:
-        level = test.level_name
-        if test.sweep_key is None:
+        level = test.name if test.lines is None else test.lines.level_name
+        if test.lines is None or test.lines.sweep_key is None:
             names.append(level)
             continue
         before = sum(name.split(" (")[0] == level for name in names)
@@ -136,7 +136,7 @@ def courses(observations: Observations, models: Models, test: int, part: Part) -
         which = np.flatnonzero(mine & (rows.channel == channel) & ((rows.harmonic == 1) | (rows.harmonic < 0)))
         if which.size == 0:
             continue
-        along = rows.time_s if kind.over_time else rows.level
+        along = rows.time_s if kind.record is not None else rows.level
         which = which[np.argsort(along[which], kind="stable")]
         found.append(_course(observations, models, test, which, part))
     return found
@@ -148,7 +148,7 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     computed = [values[which] for values in (models.as_given, models.refitted, models.final)]
     channel = int(rows.channel[which[0]])
     own = kind.channels[channel] if channel >= 0 else None
-    x = kind.abscissa(rows, which)
+    x = kind.axis.abscissa(rows, which)
     facts = part.facts
     unit_of_channel = own.unit if own is not None else ""
     unit, deviation_unit = facts.axis or unit_of_channel, facts.unit or unit_of_channel
@@ -161,15 +161,16 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     else:
         measured, *computed = (facts.drawn(values) for values in (measured, *computed))
     if facts.logarithmic:
-        unit = "" if own is None else kind.magnitude_unit(own)
-    joined = not kind.over_frequency or x.size >= _FEW_LINES
+        unit = "" if own is None else kind.axis.magnitude_unit(own)
+    joined = kind.lines is None or x.size >= _FEW_LINES
     exponent = engineering_exponent(measured) if facts.scaled else 0
     if exponent:
         unit = f"{power_of_ten(exponent)} {unit}"
         measured, *computed = (values / 10.0**exponent for values in (measured, *computed))
     given, refitted, final = computed
+    title = facts.title or (own.name if own is not None else "")
     return Course(
-        facts.title or (own.name if own is not None else ""), x, kind.axis, unit, measured, sigma, given, refitted,
+        title, x, kind.axis.label, unit, measured, sigma, given, refitted,
         final, deviation_unit, facts.factor * differences, facts.logarithmic, joined, exponent,
         360.0 if facts.angle else 0.0,
     )  # fmt: skip
@@ -201,7 +202,7 @@ def harmonic_courses(observations: Observations, models: Models, test: int) -> l
                     else:
                         magnitudes[index, row, column] = float(np.sqrt(np.sum(values[which] ** 2)))
         name = channel_name(observations, test, int(channel))
-        found.append(HarmonicCourse(name, x, kind.axis, orders, *magnitudes))
+        found.append(HarmonicCourse(name, x, kind.axis.label, orders, *magnitudes))
     return found
 
 

@@ -11,8 +11,8 @@ from markupsafe import Markup
 
 from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Measurement, Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_report.diagnosis_curves import (
     Course,
     Models,
@@ -172,7 +172,7 @@ def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
 def _level_label(observations: Observations, test: str) -> str:
     """What the columns of a test's residual map are."""
     kind = next((kind for kind in observations.tests if kind.name == test), None)
-    return "segment" if kind is None else kind.map_axis
+    return "segment" if kind is None else kind.axis.map_label
 
 
 def _verdict(d: Diagnosis) -> tuple[str, str]:
@@ -615,8 +615,8 @@ def course_figures(report: DiagnosisReport) -> list[ReportFigure]:
                 found = [on_one_scale(panel) for panel in panels.values()]
                 result.append(course_figure(f"{key}-{numbers[0]}", title + tail, _BELOW, found, shown, names))
 
-        over = test.axis.partition(" / ")[0]
-        for key, title, parts in test.FIGURES:
+        over = test.axis.label.partition(" / ")[0]
+        for key, title, parts in test.axis.figures:
             add(key, title.format(over=over), *parts)
         harmonics = harmonic_courses(report.observations, report.models, first)
         if harmonics:
@@ -628,5 +628,6 @@ def _together(tests: tuple[Measurement, ...]) -> list[list[int]]:
     """Numbers of the tests of each figure: frequency responses of the same channels to the same drive are in one."""
     groups: dict[object, list[int]] = {}
     for number, test in enumerate(tests):
-        groups.setdefault((number,) if test.sweep_key is None else test.sweep_key, []).append(number)
+        key = None if test.lines is None else test.lines.sweep_key
+        groups.setdefault((number,) if key is None else key, []).append(number)
     return list(groups.values())

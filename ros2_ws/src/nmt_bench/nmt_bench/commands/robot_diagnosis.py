@@ -36,7 +36,7 @@ def diagnose_robot_log(options: DiagnoseOptions) -> int:
     from nmt_bench.commands.console import make_console
     from nmt_bench.commands.diagnose_options import DiagnosisProgress
     from nmt_robots.report.robot_files import write_robot_diagnosis
-    from nmt_robots.verdict.robot_diagnosis import diagnose_robot_by_logs
+    from nmt_robots.verdict.other_logs import diagnose_robot_by_logs
 
     unused = [name for name in _ONLY_RIGS if getattr(options, name)]
     if unused:

@@ -17,7 +17,7 @@ from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.chain.chain_columns import Chain, linear_chain
 from nmt_diagnose.fit.fitting import FitResult, Metric
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.prediction.forward import Forward
 
 

@@ -23,7 +23,7 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ahead.ahead import Ahead
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.ledger.comparison import Comparison
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
 

@@ -23,15 +23,24 @@ from nmt_core.vocabulary import MOTIONS, ControlKind, TestKind
 from nmt_diagnose.coverage import covers
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.held_levels import LockedLevel
+from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import (
+    LockedLevels,
+    Measurement,
+    Observations,
+    RowTable,
+    holds_amplitude,
+    is_broad_band,
+    joined,
+    locked_levels,
+)
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part, Place, RowTable, joined
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Part, Place
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -81,9 +90,9 @@ def reason_against(kind: TestKind) -> str:
     return "" if kind in EXPECTED else covers(DrivenTest(kind=kind))
 
 
-def voltage_runs(observations: Observations) -> list[Measurement]:
+def voltage_runs(observations: Observations) -> list[LockedLevels]:
     """Runs of locked levels whose drive is known."""
-    return [it for it in observations.tests if it.locked_levels and it.over_voltage]
+    return [it.locked for it in observations.tests if it.locked is not None and it.over_voltage]
 
 
 def rig_of(request: TestRequest, rig: Rig) -> Rig:
@@ -139,15 +148,11 @@ def drive_point_of(request: TestRequest, rig: Rig, at_hand: Observations) -> int
 
 
 def _is_locked(test: Measurement) -> bool:
-    return bool(test.locked_levels)
+    return test.locked is not None
 
 
 def _is_free(test: Measurement) -> bool:
     return test.free
-
-
-def _holds_amplitude(test: Measurement) -> bool:
-    return test.held_amplitude
 
 
 def _typical(
@@ -211,7 +216,7 @@ def _windows(request: TestRequest, rig: Rig, at_hand: Observations, levels: tupl
     channels, point = channels_of(request, rig, at_hand), drive_point_of(request, rig, at_hand)
     ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
     response = next((c for c in channels if c.quantity in MOTIONS and c.point == point), ideal)
-    harmonics = max((t.locked_harmonics for t in at_hand.tests if t.locked_levels), default=_READ.harmonics)
+    harmonics = max((it.locked.harmonics for it in at_hand.tests if it.locked is not None), default=_READ.harmonics)
     table = RowTable()
     sizes = sorted({level.drive for level in levels})
     for level in levels:
@@ -261,7 +266,7 @@ def _levels(
     drives = drives if request.direction == "given" else directed(drives, request.direction)
     falling = request.direction in ("down", "both")
     start, cycles, length = 0.0, 0.0, _LEVEL_S
-    locked = [level for test in at_hand.tests for level in test.locked_levels]
+    locked = locked_levels(at_hand.tests)
     if falling and locked:
         last = max(locked, key=lambda level: level.stop_s)
         start, cycles, length = last.stop_s, last.cycles_before, 1.5 * max(last.stop_s - last.start_s, 1.0)
@@ -283,7 +288,7 @@ def _random(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
     top = min(0.35 * rig.sample_rate_hz, 3.0 * frequencies[min(frequencies.size - 1, mode + 1)])
     lines = np.geomspace(0.4 * frequencies[mode - 1], top, _RANDOM_LINES)
     table = RowTable()
-    lowest = (level.drive for run in voltage_runs(at_hand) for level in run.locked_levels if math.isfinite(level.drive))
+    lowest = (level.drive for level in locked_levels(voltage_runs(at_hand)) if math.isfinite(level.drive))
     rms = request.levels[0] if request.levels else min(lowest, default=_LOW_LEVEL_V)
     for number, line in enumerate(lines):
         place = Place(number, 0.0, float(line), rms)
@@ -292,7 +297,7 @@ def _random(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
                 table.add(part, 0.0, THRESHOLDS.next_test.typical_response_std, 0.0, place, channel)
     point = drive_point_of(request, rig, at_hand)
     test = RandomResponses("proposed", point, channels, "voltage", lines, 0.1, "none", rms, 0.0, 60.0)
-    return replace(table.observations(test), chains=_chains(at_hand, lambda test: test.broad_band))
+    return replace(table.observations(test), chains=_chains(at_hand, is_broad_band))
 
 
 def _decays(request: TestRequest, rig: Rig, at_hand: Observations) -> Observations:
@@ -391,9 +396,9 @@ def _curves(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
             place = Place(k, k * _LEVEL_S, float(line), float(test.levels[k]))
             for channel in range(len(channels)):
                 for part in FUNDAMENTAL:
-                    std = _typical(at_hand, _holds_amplitude, part, 1, 0.5)
+                    std = _typical(at_hand, holds_amplitude, part, 1, 0.5)
                     table.add(part, 0.0, std, _READ.floors.stepped, place, channel, 1)
-        parts.append(replace(table.observations(test), chains=_chains(at_hand, _holds_amplitude)))
+        parts.append(replace(table.observations(test), chains=_chains(at_hand, holds_amplitude)))
     return joined(parts)
 
 

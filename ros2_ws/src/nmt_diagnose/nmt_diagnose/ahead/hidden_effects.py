@@ -23,7 +23,7 @@ from nmt_diagnose.ahead.ahead import Ahead
 from nmt_diagnose.fit.candidate_starts import at_strength, strength_position
 from nmt_diagnose.fit.explanations import FittedExplanation, Score
 from nmt_diagnose.ledger.size import size_of_change
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS

@@ -9,7 +9,8 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.fit.explanations import FittedExplanation
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 
 
@@ -26,8 +27,8 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
         found: an explanation, which tells the motion.
     """
     test = left.tests[0]
-    runs = [number for number, it in enumerate(at_hand.tests) if it.locked_levels]
-    if not test.locked_levels or not runs:
+    runs = [number for number, it in enumerate(at_hand.tests) if it.locked is not None]
+    if test.locked is None or not runs:
         return left
     rows, std = left.rows, left.std.copy()
     try:
@@ -55,7 +56,7 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
             if not math.isfinite(relative):
                 continue
             std[here & (rows.channel == number)] *= max(1.0, relative / left.std[row])
-            if test.turned_by(channel.name) > 0:
-                before = float(np.interp(level / max(1, len(test.locked_levels) - 1), places, of_drive))
+            if test.locked.turned_by(channel.name) > 0:
+                before = float(np.interp(level / max(1, len(test.locked.levels) - 1), places, of_drive))
                 std[here & (rows.channel < 0)] *= max(1.0, relative / before)
     return replace(left, std=std)

@@ -21,7 +21,7 @@ from nmt_diagnose.effects.sensor_effects import RESPONSES
 from nmt_diagnose.fit.explanations import FittedExplanation, Score
 from nmt_diagnose.ledger.comparison import Comparison
 from nmt_diagnose.ledger.diagnosis import HIDDEN, NULL, NextTest
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations, locked_levels
 from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -146,7 +146,7 @@ def next_levels(
     """
     asked = Proposals(rig, observations)
     high = max(
-        (level.drive for run in asked.runs for level in run.locked_levels if math.isfinite(level.drive)),
+        (level.drive for level in locked_levels(asked.runs) if math.isfinite(level.drive)),
         default=math.nan,
     )
     levels = sorted(level for level in plan if level > 1.001 * high)
@@ -238,7 +238,7 @@ def other_sensors(
     asked = Proposals(rig, observations)
     if rivals is None or not asked.runs:
         return ()
-    drives = {level.drive for level in asked.runs[0].locked_levels if math.isfinite(level.drive)}
+    drives = {level.drive for level in asked.runs[0].levels if math.isfinite(level.drive)}
     base = asked.request("sensor", levels=tuple(sorted(plan) or sorted(drives)))
     channels = channels_of(base, rig, observations)
     sensed = {channel.point for channel in channels if channel.quantity in MOTIONS}

@@ -15,8 +15,13 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds.request import TestRequest
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.ahead.expected_rows import drive_point_of, expected, model_frequencies, voltage_runs
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import (
+    Measurement,
+    Observations,
+    holds_amplitude,
+    is_broad_band,
+    locked_levels,
+)
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -67,7 +72,7 @@ class Proposals:
         frequencies, first = model_frequencies(self.rig), self.runs[0]
         like = [run for run in self.runs if run.drive_point == first.drive_point]
         like = [run for run in like if _modes_of([run], frequencies) == _modes_of([first], frequencies)]
-        return tuple(sorted({level.drive for run in like for level in run.locked_levels if math.isfinite(level.drive)}))
+        return tuple(sorted({level.drive for level in locked_levels(like) if math.isfinite(level.drive)}))
 
     @property
     def seconds_of_a_level(self) -> float:
@@ -75,9 +80,9 @@ class Proposals:
         steps = [
             abs(later.stop_s - before.stop_s)
             for run in self.runs
-            for before, later in itertools.pairwise(sorted(run.locked_levels, key=lambda level: level.stop_s))
+            for before, later in itertools.pairwise(sorted(run.levels, key=lambda level: level.stop_s))
         ]
-        first = [level.stop_s - level.start_s for run in self.runs for level in run.locked_levels]
+        first = [level.stop_s - level.start_s for level in locked_levels(self.runs)]
         return float(np.median(steps or first or [math.nan]))
 
     def request(self, name: str, **settings: Any) -> TestRequest:
@@ -107,7 +112,7 @@ class Proposals:
         return Proposal(text, request, compared(rows, request), seconds)
 
     def _random(self) -> Proposal | None:
-        if any(test.broad_band for test in self.observations.tests):
+        if any(map(is_broad_band, self.observations.tests)):
             return None
         request = self.request("random", kind=kinds.RandomTest())
         point = drive_point_of(request, self.rig, self.observations)
@@ -118,19 +123,19 @@ class Proposals:
         """A decay, a response curve and noise at the highest level at hand, of the first mode and drive point."""
         high, each = self.drives[-1], self.seconds_of_a_level
         first = self.runs[0]
-        top = max(first.locked_levels, key=lambda level: level.drive if math.isfinite(level.drive) else 0.0)
+        top = max(first.levels, key=lambda level: level.drive if math.isfinite(level.drive) else 0.0)
         frequency_hz, result = top.frequency_hz, []
         if not any(test.free for test in self.observations.tests):
             lasts = _DECAY_PERIODS / frequency_hz
             request = self.request("decay", kind=kinds.RingDownTest(duration=lasts), levels=(high,))
             result.append(self.proposal(f"a free decay from {high:.3g} V", request, each + lasts))
-        if math.isfinite(top.force_n) and not any(test.held_amplitude for test in self.observations.tests):
+        if math.isfinite(top.force_n) and not any(map(holds_amplitude, self.observations.tests)):
             request = self.request("curve", kind=kinds.ResponseCurveTest(), levels=(top.force_n,))
             found = self.proposal(f"the response curve at {top.force_n:.3g} N", request, each)
             # Each of its points takes about as long as a level.
             points = 0 if found is None else len(np.unique(found.observations.rows.level))
             result.append(None if found is None else replace(found, seconds=points * each))
-        if any(test.broad_band for test in self.observations.tests):
+        if any(map(is_broad_band, self.observations.tests)):
             request = self.request("noise", kind=kinds.RandomTest(), levels=(high,))
             text = f"a random test at {high:.3g} V rms"
             result.append(self.proposal(text, request, THRESHOLDS.next_test.random_seconds))
@@ -151,7 +156,7 @@ class Proposals:
         if other := next(others, 0):
             request = self.request(f"mode{other}", levels=drives, changes=(("test.mode", other),))
             result.append(self.proposal(f"the same levels on mode {other}", request, same))
-        if all(level.direction >= 0 for run in self.runs for level in run.locked_levels):
+        if all(level.direction >= 0 for level in locked_levels(self.runs)):
             request = self.request("both", levels=drives, direction="both")
             result.append(self.proposal("the same levels downwards, after going up", request, 2.0 * same))
         limit, high = self.rig.limits.voltage_v, 2.0 * drives[-1]
@@ -177,7 +182,7 @@ def compared(rows: Observations, request: TestRequest) -> Observations:
 
 def _modes_of(runs: Sequence[Measurement], frequencies: FloatArray) -> set[int]:
     """Numbers of the modes of the model that are nearest to the locked frequencies of some runs."""
-    locked = [level.frequency_hz for test in runs for level in test.locked_levels if level.frequency_hz > 0.0]
+    locked = [level.frequency_hz for level in locked_levels(runs) if level.frequency_hz > 0.0]
     numbers = np.flatnonzero(frequencies > 0.0)
     ratios = [np.abs(np.log(frequencies[numbers] / frequency)) for frequency in locked if numbers.size]
     return {int(numbers[np.argmin(ratio)]) + 1 for ratio in ratios}

@@ -34,11 +34,18 @@ from nmt_diagnose.chain.modes_left_out import ModesLeftOut
 from nmt_diagnose.chain.shape_errors import ShapeErrors
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.location import LocationKind
-from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
-from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.held_levels import LockedLevel
+from nmt_diagnose.measurements.measurement import (
+    Measurement,
+    Observations,
+    holds_amplitude,
+    is_broad_band,
+    locked_levels,
+    with_levels,
+)
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -108,7 +115,8 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
     """Delays of the kinds of sensors that refer to a voltage, or to the input of a record; none of the bench's own."""
     found: dict[Quantity, float] = {}
     for test, chain in zip(observations.tests, observations.chains, strict=False):
-        if chain is None or not test.timed_by_drive:
+        driven = test.over_voltage or test.locked is not None or test.record is not None
+        if chain is None or not driven:
             continue
         for channel in test.channels:
             if channel.quantity in (*MOTIONS, Quantity.FORCE):
@@ -128,7 +136,7 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     numbers = {
         number: chain
         for number, chain in enumerate(observations.chains)
-        if chain is not None and observations.tests[number].linear_chain
+        if chain is not None and is_linear(observations.tests[number])
     }
     builder = ChainBuilder(observations, rig, prediction, numbers) if numbers else None
     found = builder.found() if builder else {}
@@ -146,7 +154,7 @@ def _unsettled(observations: Observations) -> dict[str, FloatArray]:
     """Amplitudes of locked windows that had not settled, one error for each level."""
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
-        for position, level in enumerate(test.locked_levels):
+        for position, level in enumerate(locked_levels([test])):
             if any(level.amplitude_leans):
                 selected = (rows.test == number) & (rows.level == position) & (rows.part == Part.LOG_MAGNITUDE)
                 selected &= rows.channel >= 0
@@ -162,15 +170,15 @@ def _phase_at_lock(observations: Observations, rig: Rig, prediction: Prediction)
     The loop holds the phase that it measures: noise of force and response moves the excitation off phase resonance,
     and frequency, amplitudes and phases of all channels together.
     """
-    if not any(test.locked_levels for test in observations.tests):
+    if not locked_levels(observations.tests):
         return {}
     forward = Forward(observations.tests, observations.rows)
     base = forward.predict(rig, prediction)
-    moved = tuple(test.with_levels(with_phase_step) for test in observations.tests)
+    moved = with_levels(observations.tests, with_phase_step)
     slopes = forward.difference(Forward(moved, observations.rows).predict(rig, base).values, base.values) / PHASE_STEP
     rows, found = observations.rows, {}
     for number, test in enumerate(observations.tests):
-        for position, level in enumerate(test.locked_levels):
+        for position, level in enumerate(locked_levels([test])):
             selected = (rows.test == number) & (rows.level == position) & (rows.part != Part.PHASE_ERROR)
             found[f"phase of {test.name} {position}"] = np.where(selected, level.phase_error_std * slopes, 0.0)
     return found
@@ -228,7 +236,7 @@ class ChainBuilder:
         """Rows over a change of the rig; responses at held amplitudes have columns of their own."""
         forward = self.tests.forward
         moved = forward.difference(forward.predict(rig, self.base).values, self.base.values) / step
-        return np.where(self._where(lambda test: test.held_amplitude), 0.0, moved)
+        return np.where(self._where(holds_amplitude), 0.0, moved)
 
     def _where(self, which: Callable[[Measurement], bool]) -> BoolArray:
         """Rows of the tests that are asked for."""
@@ -237,7 +245,7 @@ class ChainBuilder:
 
     def _on_fundamentals(self, column: FloatArray) -> FloatArray:
         """A column of windows and random tests on magnitudes and phases of fundamentals and lines alone."""
-        fundamentals = np.isin(self.rows.part, FUNDAMENTAL) & self._where(lambda test: not test.held_amplitude)
+        fundamentals = np.isin(self.rows.part, FUNDAMENTAL) & ~self._where(holds_amplitude)
         return np.where(fundamentals, column, 0.0)
 
     def _clock(self) -> dict[str, FloatArray]:
@@ -270,8 +278,10 @@ class ChainBuilder:
         """Errors that the responses of single tests have."""
         found: dict[str, FloatArray] = {}
         for number, test in enumerate(self.tests.tests):
+            if test.lines is None:
+                continue
             rows = np.flatnonzero(self.tests.linear_rows(number))
-            errors = test.response_errors(self.rows.take(rows), self.tests.measuring_chains[number])
+            errors = test.lines.errors(self.rows.take(rows), self.tests.measuring_chains[number])
             for name, column in errors.items():
                 found.setdefault(name, np.zeros(len(self.rows)))[rows] = column
         return found
@@ -279,12 +289,12 @@ class ChainBuilder:
     def _voltage(self) -> dict[str, FloatArray]:
         """Gain of the drive's voltage, recorded or commanded."""
         size = max(chain.voltage_gain for chain in self.tests.measuring_chains)
-        moved = tuple(test.with_levels(_driven_more) for test in self.tests.tests)
+        moved = with_levels(self.tests.tests, _driven_more)
         both = self.tests.moved(moved, self.base) / _GAIN_STEP
         recorded = np.zeros(len(self.rows))
-        commanded = any(test.commanded for test in self.tests.tests)
+        commanded = any(_is_commanded(test) for test in self.tests.tests)
         for number, test in enumerate(self.tests.tests):
-            if test.broad_band and test.over_voltage:
+            if is_broad_band(test) and test.over_voltage:
                 recorded[(self.rows.test == number) & (self.rows.part == Part.LOG_MAGNITUDE)] = 1.0
         found = {"gain of the drive": size * (both + recorded)}
         return found | ({"gain of the recorded voltage": size * recorded} if commanded else {})
@@ -296,7 +306,7 @@ class ChainBuilder:
             direct = np.zeros(len(self.rows), dtype=np.complex128)
             for number in self.tests.referred():
                 rate = self.tests.measuring_chains[number].hold_hz
-                if self.tests.tests[number].commanded is commanded and math.isfinite(rate):
+                if _is_commanded(self.tests.tests[number]) is commanded and math.isfinite(rate):
                     selected = self.tests.linear_rows(number)
                     share = self.rows.frequency_hz[selected] / rate
                     direct[selected] = np.log(np.maximum(np.sinc(share), 1e-3)) - 1j * np.pi * share
@@ -353,7 +363,7 @@ class ChainBuilder:
         other, turned = values[self.tests.other_part()], self.rows.part == Part.PHASE
         size, angle = np.where(turned, other, values), np.where(turned, values, other)
         result = np.exp(size[selected] + 1j * angle[selected])
-        if self.tests.tests[number].locked_levels:
+        if self.tests.tests[number].locked is not None:
             result = result / self.rows.amplitude[selected]
         return np.asarray(result)
 
@@ -361,7 +371,7 @@ class ChainBuilder:
         """By how much the phase between force and response truly was off at each locked row, if images were in it."""
         result = np.zeros(len(self.rows))
         for number, test in enumerate(self.tests.tests):
-            sign = test.turned_by(name)
+            sign = 0 if test.locked is None else test.locked.turned_by(name)
             selected = (self.rows.test == number) & self.tests.rows_of(name) & (self.rows.part == Part.PHASE)
             for level in np.unique(self.rows.level[selected]) if sign else ():
                 angle = float(images[selected & (self.rows.level == level)][0].imag)
@@ -394,7 +404,7 @@ class ChainBuilder:
         """
         found = {}
         for number, test in enumerate(self.tests.tests):
-            if test.locked_levels:
+            if test.locked is not None:
                 selected = self.rows.test == number
                 size = float(np.max(self._image_size[selected & (self.rows.part == Part.PHASE)], initial=0.0))
                 found[f"aim {test.name}"] = math.hypot(math.radians(TOLERANCES.loop_phase_deg), size) * (
@@ -407,9 +417,7 @@ class ChainBuilder:
         found = {}
         for order in (2, 3):
             for part, share in (("re", 1.0), ("im", 1j)):
-                moved = tuple(
-                    test.with_levels(partial(distorted, order=order, share=share)) for test in self.tests.tests
-                )
+                moved = with_levels(self.tests.tests, partial(distorted, order=order, share=share))
                 found[f"harmonic {order} of the drive {part}"] = self.tests.moved(moved, self.base)
         return found
 
@@ -417,16 +425,26 @@ class ChainBuilder:
         """Shift of the resonance from test to test, as temperature makes it; locked windows have none."""
         found = {}
         for number, test in enumerate(self.tests.tests):
-            lower = test.with_lines_moved(-_SHIFT_STEP)
-            if lower is not None:
+            if test.lines is not None:
+                lower = test.lines.shifted(-_SHIFT_STEP)
                 shifted = tuple(lower if other is test else other for other in self.tests.tests)
                 slope = self.tests.moved(shifted, self.base) / _SHIFT_STEP
             else:
-                slope = ((self.rows.test == number) & test.resonance_rows(self.rows)).astype(np.float64)
+                frequencies = (self.rows.test == number) & (self.rows.part == Part.LOG_FREQUENCY)
+                slope = (test.free * frequencies).astype(np.float64)
             if not slope.any():
                 continue
             found[f"resonance in {test.name}"] = TOLERANCES.resonance_shift * slope
         return found
+
+
+def is_linear(test: Measurement) -> bool:
+    """Whether errors of its measuring chain act on magnitudes and phases, a column each."""
+    return test.record is None and not test.reduced
+
+
+def _is_commanded(test: Measurement) -> bool:
+    return test.locked is not None and test.locked.commanded
 
 
 def _driven_more(level: LockedLevel) -> LockedLevel:
@@ -466,10 +484,12 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
     by_sensor: dict[str, list[tuple[float, FloatArray]]] = {}
     chains = (*observations.chains, *[None] * len(observations.tests))
     for number, (test, chain) in enumerate(zip(observations.tests, chains, strict=False)):
+        if test.record is None:
+            continue
         selected = rows.test == number
         part = rows.take(selected)
         part = replace(part, test=np.zeros_like(part.test))
-        errors, zeros = test.record_errors(part, rig, cache, settings, chain)
+        errors, zeros = test.record.errors(part, rig, cache, settings, chain)
         for name, column in errors.items():
             found[name] = np.zeros(len(rows))
             found[name][selected] = column

@@ -12,11 +12,11 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
-from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.held_levels import LockedLevel
+from nmt_diagnose.measurements.measurement import Measurement, Observations, with_levels
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import RIGID, ModelView
-from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Observations, Part
+from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Part
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_rig.rig import Rig, SensorSection
 
@@ -56,8 +56,8 @@ class ChainTests:
         self.measuring_chains = tuple(chains[number] for number in self.numbers)
         self.channels = {c.name: c for test in self.tests for c in test.channels if c.quantity is not Quantity.VOLTAGE}
         for test in self.tests:
-            if test.divisor is not None:
-                self.channels.setdefault(test.divisor.name, test.divisor)
+            if test.lines is not None and (divisor := test.lines.divisor) is not None:
+                self.channels.setdefault(divisor.name, divisor)
 
     def full(self, values: FloatArray) -> FloatArray:
         """Values of these rows among all, zero elsewhere, shape (m,)."""
@@ -90,7 +90,7 @@ class ChainTests:
 
     def slopes(self, base: Prediction) -> FloatArray:
         """Change of the rows over that of the phase at which each level truly stood."""
-        moved = tuple(test.with_levels(with_phase_step) for test in self.tests)
+        moved = with_levels(self.tests, with_phase_step)
         return np.nan_to_num(self.moved(moved, base) / PHASE_STEP)
 
     def rows_of(self, channel: str) -> BoolArray:
@@ -164,7 +164,7 @@ class ChainTests:
 
     def tested(self) -> float:
         """Frequency at which the phase of a channel is stated: that of the locked windows, Hz."""
-        locked = [number for number, test in enumerate(self.tests) if test.locked_levels]
+        locked = [number for number, test in enumerate(self.tests) if test.locked is not None]
         selected = np.isin(self.rows.test, locked) & (self.rows.frequency_hz > 0.0)
         return float(np.median(self.rows.frequency_hz[selected])) if selected.any() else self.resonance()
 

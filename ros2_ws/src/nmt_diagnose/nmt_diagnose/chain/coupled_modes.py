@@ -92,7 +92,7 @@ class CoupledModes:
         change = np.nan_to_num(change, posinf=0.0, neginf=0.0)
         over, measured = ModesLeftOut(self.chain), self.chain.observations.values[self.chain.selected]
         for number, test in enumerate(self.chain.tests):
-            if not test.broad_band:
+            if test.lines is None or not test.lines.broad_band:
                 continue
             selected = np.flatnonzero((rows.test == number) & np.isin(rows.part, FUNDAMENTAL))
             apart = base.values - measured

@@ -9,7 +9,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.chain.chain_tests import ChainTests
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.measurement import ResponseLines
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import FUNDAMENTAL, parts_where
 from nmt_diagnose.prediction.forward import Prediction
@@ -50,15 +50,15 @@ class ModesLeftOut:
                 continue  # only motions
             columns = np.zeros((4, len(self.rows)))
             for number, test in enumerate(self.tests):
-                if not test.over_force:
+                if test.lines is None or not test.lines.over_force:
                     continue
                 selected = np.flatnonzero((self.rows.test == number) & self.chain.rows_of(channel))
                 frequency = self.rows.frequency_hz[selected]
-                static = self._flexibility(test, measured_channel)
+                static = self._flexibility(test.lines, measured_channel)
                 added = static * (2j * np.pi * frequency) ** MOTIONS[measured_channel.quantity]
                 part = self.rows.part[selected]
                 relative = np.isin(part, FUNDAMENTAL)
-                added[relative] /= self._between(test, number, selected, base)[relative]
+                added[relative] /= self._between(test.lines, number, selected, base)[relative]
                 changed = np.where(np.isin(part, parts_where(lambda facts: facts.half == "im")), added.imag, added.real)
                 share = frequency / np.max(frequency, initial=1.0)
                 columns[:3, selected] = (
@@ -68,7 +68,7 @@ class ModesLeftOut:
             found += list(columns)
         return found
 
-    def _flexibility(self, test: Measurement, channel: MeasuredChannel) -> float:
+    def _flexibility(self, test: ResponseLines, channel: MeasuredChannel) -> float:
         """Displacement at a channel far below the first mode, m over the N of the force.
 
         Over the V of the drive where the test refers to the voltage, or the model has no force at the drive point.
@@ -77,10 +77,10 @@ class ModesLeftOut:
         frequency = THRESHOLDS.misfit.static_frequency_ratio * self.chain.resonance()
         force = MeasuredChannel(f"f{test.drive_point}", Quantity.FORCE, test.drive_point, ideal=True)
         response, reference = view.responses((channel, force), np.array([frequency]))[:, 0]
-        over = 1.0 if test.referred_to == "voltage" or not np.isfinite(reference) else abs(reference)
+        over = 1.0 if test.reference == "voltage" or not np.isfinite(reference) else abs(reference)
         return float(abs(response) / over / (2.0 * np.pi * frequency) ** MOTIONS[channel.quantity])
 
-    def _between(self, test: Measurement, number: int, selected: IntArray, base: Prediction) -> ComplexArray:
+    def _between(self, test: ResponseLines, number: int, selected: IntArray, base: Prediction) -> ComplexArray:
         """Responses of rows that a small addition is compared with: measured ones, or between those and the model's.
 
         ln (1 + z) is z / √(1 + z) to the second order: of a linear test the geometric mean of both responses is taken,

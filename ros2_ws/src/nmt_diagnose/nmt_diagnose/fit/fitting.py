@@ -18,7 +18,8 @@ from nmt_diagnose.chain.chain_columns import is_tolerance, linear_chain
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.misfit import Whitening, misfit_of
 from nmt_diagnose.fit.noise import Groups, beyond_noise, groups_of, sigma_of
-from nmt_diagnose.observations.observables import ANGLES, FUNDAMENTAL, Natural, Observations, Part, with_natural
+from nmt_diagnose.measurements.measurement import Observations, is_broad_band
+from nmt_diagnose.observations.observables import ANGLES, FUNDAMENTAL, Natural, Part, with_natural
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -200,7 +201,7 @@ class Data:
 def lines_of(observations: Observations) -> IntArray:
     """Rows of the magnitude and of the phase of each line of random tests that has both, (2, k)."""
     rows = observations.rows
-    random = [number for number, test in enumerate(observations.tests) if test.broad_band]
+    random = [number for number, test in enumerate(observations.tests) if is_broad_band(test)]
     pairs: dict[tuple[int, int, int], dict[int, int]] = {}
     for row in np.flatnonzero(np.isin(rows.test, random) & np.isin(rows.part, FUNDAMENTAL)):
         key = int(rows.test[row]), int(rows.level[row]), int(rows.channel[row])

@@ -25,8 +25,8 @@ from nmt_diagnose.effects.operating_range import LackingMode
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.fitting import Data, FitResult
 from nmt_diagnose.fit.pole_slopes import PoleSlopes, RestingMatrices
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
+from nmt_diagnose.measurements.measurement import Observations, ResponseLines
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Part
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.operating_range import receptances
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
@@ -287,7 +287,7 @@ def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -
 class _Looked(NamedTuple):
     """Responses of a test (channels, lines), and the model's modes at these channels."""
 
-    test: Measurement
+    test: ResponseLines
     lines: FloatArray
     responses: ComplexArray
     model: Modes
@@ -302,7 +302,7 @@ class _Looked(NamedTuple):
 class _Together(NamedTuple):
     """Tests that meet one rig with the same modes: a mode is what all of their channels share."""
 
-    test: Measurement
+    test: ResponseLines
     name: str
     lines: FloatArray
     responses: ComplexArray
@@ -338,20 +338,20 @@ class LowLevelModes:
 
     def __init__(self, observations: Observations, rig: Rig) -> None:
         self.rig = rig
-        self.tests: list[tuple[Measurement, Modes, np.ndarray]] = []
+        self.tests: list[tuple[ResponseLines, Modes, np.ndarray]] = []
         self.disordered: tuple[str, ...] = ()
         self._lacking: list[tuple[float, str]] = []
         self._looked: dict[_Key, list[_Looked]] = {}
         late = lateness(observations, rig)
         for number, test in enumerate(observations.tests):
-            if test.modal_lines_hz is not None:
-                self._add(number, test, test.modal_lines_hz, observations, late)
+            if test.lines is not None and (lines_hz := test.lines.modal_hz) is not None:
+                self._add(number, test.lines, lines_hz, observations, late)
         self.compare()
 
     def _add(
         self,
         number: int,
-        test: Measurement,
+        test: ResponseLines,
         lines: FloatArray,
         observations: Observations,
         late: dict[tuple[int, int], float],
@@ -450,7 +450,7 @@ class LowLevelModes:
                 result.append(sentence)
         return tuple(result)
 
-    def modes(self, rig: Rig, test: Measurement) -> Modes | None:
+    def modes(self, rig: Rig, test: ResponseLines) -> Modes | None:
         """Modes of a rig as a test meets it, local forces at rest; None where it cannot be taken apart."""
         parts = _parts(rig, test)
         return None if parts is None else _modes_of(parts)
@@ -564,7 +564,7 @@ class LowLevelModes:
         return result
 
 
-def _parts(rig: Rig, test: Measurement, near: RigParts | None = None) -> RigParts | None:
+def _parts(rig: Rig, test: ResponseLines, near: RigParts | None = None) -> RigParts | None:
     """A rig as a test meets it, beside one that differs from it a little; None where it cannot be taken apart."""
     try:
         return rig_parts(
@@ -602,9 +602,9 @@ def _modes_of(parts: RigParts) -> Modes | None:
 _Key = tuple[int, str, float]
 
 
-def _key(test: Measurement) -> _Key:
+def _key(test: ResponseLines) -> _Key:
     """What tests that meet one rig with the same modes have in common."""
-    return test.drive_point, test.referred_to, _middle_s(test)
+    return test.drive_point, test.reference, _middle_s(test)
 
 
 class _Slopes(NamedTuple):
@@ -615,7 +615,7 @@ class _Slopes(NamedTuple):
     clocks: FloatArray
 
 
-def _slopes(parametrisation: Parametrisation, theta: FloatArray, test: Measurement, number: int) -> _Slopes | None:
+def _slopes(parametrisation: Parametrisation, theta: FloatArray, test: ResponseLines, number: int) -> _Slopes | None:
     """Derivatives of the lowest modes of a rig as a test meets it; None where it has no modes there."""
     try:
         rig = parametrisation.rig(theta)
@@ -644,6 +644,6 @@ def _slopes(parametrisation: Parametrisation, theta: FloatArray, test: Measureme
     return _Slopes(poles, slopes, clocks)
 
 
-def _middle_s(test: Measurement) -> float:
+def _middle_s(test: ResponseLines) -> float:
     """Middle of a test on the clock of its bag, s."""
     return 0.5 * sum(test.span_s or (0.0, 0.0))

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.observations.observables import Natural, Observations, parts_where, with_natural
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Natural, parts_where, with_natural
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _SMALLEST = 1e-6  # share of an eigenvalue's largest below which it is rounding
@@ -119,7 +120,7 @@ def series_of(observations: Observations, which: BoolArray) -> list[IntArray]:
 def where_of(observations: Observations) -> FloatArray:
     """Logarithm of level or frequency over the length that a misfit keeps, (m,)."""
     rows = observations.rows
-    lines = [n for n, test in enumerate(observations.tests) if test.over_frequency]
+    lines = [n for n, test in enumerate(observations.tests) if test.lines is not None]
     by_line = np.isin(rows.test, lines)
     with np.errstate(invalid="ignore", divide="ignore"):
         line = np.log(np.maximum(rows.frequency_hz, 1e-300)) / THRESHOLDS.misfit.line_length

@@ -16,7 +16,7 @@ from nmt_diagnose.fit.best_fit import StartName, best_fit, from_believed, likeli
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Data, FitError, FitResult, Start, data_about, fit
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.prediction.forward import Forward, Prediction, traced
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.thresholds import THRESHOLDS

@@ -22,8 +22,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_diagnose.fit.misfit import least_scale
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part
+from nmt_diagnose.measurements.measurement import Measurement, Observations
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
@@ -138,7 +138,7 @@ def _rank_of(observations: Observations) -> IntArray:
     rows = observations.rows
     result = np.full(len(rows), -1, dtype=np.int64)
     for number, test in enumerate(observations.tests):
-        if not test.ranked:
+        if not test.series.ranked:
             continue
         selected = rows.test == number
         levels, index = np.unique(rows.level[selected], return_inverse=True)
@@ -171,8 +171,8 @@ def groups_of(observations: Observations, share: FloatArray) -> Groups:
 
 
 def _kind(test: Measurement, part: Part, channel: int) -> str:
-    if part in FUNDAMENTAL and (lines := test.line_group(channel)):
-        return lines
+    if part in FUNDAMENTAL and test.lines is not None and test.lines.noise_group:
+        return f"{test.lines.noise_group} {test.channels[channel].name}"
     if part is Part.SAMPLE:
         return f"{part.facts.noise} {channel}"
     # Phases of all responses of a window are off together where the loop stood elsewhere, that of the force hardly.

@@ -16,7 +16,7 @@ from nmt_diagnose.effects.location import Explanation
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Data, Start, fit
 from nmt_diagnose.fit.model_alone import about
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_rig.rig import Rig
 
 

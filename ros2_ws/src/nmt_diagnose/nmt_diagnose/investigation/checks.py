@@ -10,7 +10,8 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.investigation.investigation_record import InvestigationRecord
 from nmt_diagnose.ledger.diagnosis import Verdict
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _COURSES = ((Part.LOG_FREQUENCY, "frequency", "the frequency"), (Part.LOG_MAGNITUDE, "response", "the response of {}"))
@@ -42,7 +43,7 @@ def none_contradicted(observations: Observations, predicted: FloatArray, matters
     rows = observations.rows
     left = observations.values - predicted
     for number, test in enumerate(observations.tests):
-        if not test.locked_levels:
+        if test.locked is None:
             continue
         for part, kind, words in _COURSES:
             for channel in np.unique(rows.channel[(rows.test == number) & (rows.part == part)]):

@@ -10,7 +10,7 @@ from nmt_diagnose.law.reading import LawReading, nearly_as_well
 from nmt_diagnose.law.record_law import reading_of
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, words_of
 from nmt_diagnose.law.responding_record import RespondingRecords, moving
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -30,7 +30,9 @@ def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
         return None
     searches = [] if isinstance(every, str) else [RecordSearch(records) for records in moving(every)]
     if not searches:
-        name = " and ".join(test.name for test in observations.tests if test.driven_as is not None)
+        name = " and ".join(
+            test.name for test in observations.tests if test.record is not None and test.record.responses.size
+        )
         why = "the channels of the record tell the motion of no place; put a sensor where the force may act"
         why, count = (every, 0) if isinstance(every, str) else (why, every[0].count)
         return LawReading(name, count, (), math.nan, math.nan, math.nan, math.nan, (why,), True)

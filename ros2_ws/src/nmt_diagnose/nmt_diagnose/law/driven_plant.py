@@ -17,7 +17,7 @@ import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.numerics.kernels import njit
-from nmt_diagnose.measurements.driven_record.predictor import stepped_model
+from nmt_diagnose.measurements.driven_record import stepped_model
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.record_kernel import SteppedModel

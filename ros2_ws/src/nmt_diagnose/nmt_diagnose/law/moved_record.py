@@ -27,9 +27,9 @@ from nmt_diagnose.law.sampled_records import (
     rows_at,
 )
 from nmt_diagnose.law.terms import Term
-from nmt_diagnose.measurements.driven_record.reading import spread_samples
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
-from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.measurements.driven_record import spread_samples
+from nmt_diagnose.measurements.measurement import Observations, Record
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -53,7 +53,7 @@ class MovedRecord:
         channels: measured channels that a coefficient may follow, (1, n); the displacement is one.
     """
 
-    test: ImposedMotion
+    test: Record
     x: FloatArray
     v: FloatArray
     parts: tuple[IntArray, ...]
@@ -79,7 +79,7 @@ class MovedRecord:
             most: rows.
             late: samples of the force by which it comes later than the motion.
         """
-        test, rows = observations.tests[number].moved_as, observations.rows
+        test, rows = observations.tests[number].record, observations.rows
         force = [
             k for k, channel in enumerate(observations.tests[number].channels) if channel.quantity is Quantity.FORCE
         ]
@@ -105,7 +105,7 @@ class MovedRecord:
         known = np.argsort(rows.time_s[selected])
         sigma = np.interp(time_s, rows.time_s[selected][known], observations.sigma[selected][known])
         chain = observations.chains[number] if observations.chains else None
-        errors = dict(test.record_errors(dense, rig, cache, settings, chain)[0])
+        errors = dict(test.errors(dense, rig, cache, settings, chain)[0])
         errors[constant_of(test)] = np.full(samples.size, test.force_n)
         # Channels are sampled in step or half a sample apart.
         slope = np.gradient(np.interp(np.arange(test.force.size), samples, test.force[samples]))
@@ -177,7 +177,7 @@ class MovedRecord:
         return self.parts[part], corrected[: sigma.size] * sigma, float(sigma.mean())
 
 
-def constant_of(test: ImposedMotion) -> str:
+def constant_of(test: Record) -> str:
     """Name of the force of a record that does not change."""
     force = next(channel for channel in test.channels if channel.quantity is Quantity.FORCE)
     return f"zero of {force.name} in {test.name}"
@@ -190,7 +190,9 @@ class MovedRecords(SampledRecords[MovedRecord]):
     @classmethod
     def of(cls, rig: Rig, observations: Observations, late: int = 0) -> MovedRecords | None:
         """The records of imposed motion among some tests, the force so many samples late; None without one."""
-        numbers = [k for k, test in enumerate(observations.tests) if test.moved_as is not None]
+        numbers = [
+            k for k, test in enumerate(observations.tests) if test.record is not None and test.record.motion.size
+        ]
         if not numbers:
             return None
         parts, most = max(1, round(PARTS / len(numbers))), ROWS // len(numbers)

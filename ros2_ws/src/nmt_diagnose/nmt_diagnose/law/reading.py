@@ -12,7 +12,6 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
-from nmt_diagnose.law.held_levels import HeldLevels
 from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError, fewest
@@ -20,7 +19,8 @@ from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.record_check import RecordCheck
 from nmt_diagnose.law.terms import Term, sampled
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.held_levels import HeldLevels
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

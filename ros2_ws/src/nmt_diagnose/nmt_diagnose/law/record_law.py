@@ -24,7 +24,7 @@ from nmt_diagnose.law.record_check import RecordCheck, check_of
 from nmt_diagnose.law.record_delay import delay_of
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed, words_of
 from nmt_diagnose.law.sampled_records import SampledRecords
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

@@ -22,7 +22,7 @@ from nmt_diagnose.law.law_search import best_moved, between
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.sampled_records import DELAY, HALF_A_SAMPLE, SampledRecords
 from nmt_diagnose.law.terms import Term
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import POSITION
+from nmt_diagnose.measurements.imposed_motion import POSITION
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.element import MAGNITUDE_OF
 

@@ -34,12 +34,11 @@ from nmt_diagnose.law.sampled_records import (
 )
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.channel import with_magnitudes
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.driven_record.predictor import substeps_of
-from nmt_diagnose.measurements.driven_record.reading import spread_samples, white_noise
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import POSITION
+from nmt_diagnose.measurements.driven_record import spread_samples, substeps_of, white_noise
+from nmt_diagnose.measurements.imposed_motion import POSITION
+from nmt_diagnose.measurements.measurement import Observations, Record
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-from nmt_diagnose.observations.observables import Observations, Part, Rows
+from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.record_kernel import SteppedModel, Steps, _coordinate_forces, _room
@@ -72,7 +71,7 @@ def places_of(rig: Rig, parts: RigParts) -> list[tuple[int, int]]:
     return [pair for pair in points if {*pair} - {0} <= {*parts.system.point_numbers}]
 
 
-def _newton_per_volt(rig: Rig, test: DrivenRecord) -> float | None:
+def _newton_per_volt(rig: Rig, test: Record) -> float | None:
     """Force by the input of a record: 1 of a force, that of an exciter without dynamics of a voltage, else None."""
     if test.input_channel.quantity is Quantity.FORCE:
         return 1.0
@@ -101,7 +100,7 @@ class DrivenBasis:
         at: recorded samples that have rows, ascending.
     """
 
-    test: DrivenRecord
+    test: Record
     number: int
     rig: Rig
     chain: MeasuringChain | None
@@ -126,7 +125,7 @@ class DrivenBasis:
             number: of the test.
             most: rows.
         """
-        test = observations.tests[number].driven_as
+        test = observations.tests[number].record
         assert test is not None
         per_volt = _newton_per_volt(rig, test)
         if per_volt is None:
@@ -285,7 +284,7 @@ class RespondingRecord:
         )  # fmt: skip
 
     @property
-    def test(self) -> DrivenRecord:
+    def test(self) -> Record:
         """The record."""
         return self.basis.test
 
@@ -506,7 +505,11 @@ class RespondingRecords(SampledRecords[RespondingRecord]):
     def at_places(cls, rig: Rig, observations: Observations) -> list[RespondingRecords] | str:
         """The driven records among some tests, once for each place, or why none is read; nothing without a record."""
         counted = set(observations.rows.test[observations.rows.part == Part.SAMPLE].tolist())
-        numbers = [k for k, test in enumerate(observations.tests) if test.driven_as is not None and k in counted]
+        numbers = [
+            k
+            for k, test in enumerate(observations.tests)
+            if test.record is not None and test.record.responses.size and k in counted
+        ]
         if not numbers:
             return []
         parts, most = max(1, round(PARTS / len(numbers))), ROWS // len(numbers)

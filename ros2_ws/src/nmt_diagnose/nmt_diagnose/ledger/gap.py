@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 # The 5 % ends of an interval then rest on fifty resamples each.

@@ -17,7 +17,8 @@ from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import REFIT, Data, FitError, Metric, Start, best_chain_errors, fit
 from nmt_diagnose.ledger.gap import ClosedShare, closed, no_worse_than_silence, rms
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _NO_BETTER = 0.9
@@ -85,13 +86,13 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
     top = np.zeros(len(rows), dtype=bool)
     for number, test in enumerate(observations.tests):
         selected = rows.test == number
-        if not test.interleaved or not selected.any():
+        if not test.series.interleaved or not selected.any():
             continue
         levels = np.unique(rows.level[selected])
         if levels.size < THRESHOLDS.verdict.held_out_fewest_levels:
             continue
         odd |= selected & np.isin(rows.level, levels[1::2])
-        if test.rising:
+        if test.series.rising:
             by_amplitude = {level: float(np.max(rows.amplitude[selected & (rows.level == level)])) for level in levels}
             highest = sorted(levels, key=lambda level: by_amplitude[level])[-2:]
             top |= selected & np.isin(rows.level, highest)
@@ -123,9 +124,10 @@ def _swept(observations: Observations) -> list[list[tuple[int, float]]]:
     groups: dict[object, list[tuple[int, float]]] = {}
     for number, test in enumerate(observations.tests):
         selected = observations.rows.test == number
-        if test.sweep_key is not None and selected.any():
+        key = None if test.lines is None else test.lines.sweep_key
+        if key is not None and selected.any():
             level = float(f"{np.median(observations.rows.amplitude[selected]):.3g}")
-            groups.setdefault(test.sweep_key, []).append((number, level))
+            groups.setdefault(key, []).append((number, level))
     return [
         g for g in groups.values() if len({level for _, level in g}) >= THRESHOLDS.verdict.held_out_fewest_responses
     ]

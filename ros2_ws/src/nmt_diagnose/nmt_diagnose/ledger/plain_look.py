@@ -17,7 +17,8 @@ from nmt_core.mistaken_units import mistaken_units
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import significant
 from nmt_diagnose.ledger.diagnosis import PlaceShare
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Measurement, Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 # One damping alone is of a level that may be an exception.
@@ -92,10 +93,16 @@ def _in_every_test(observations: Observations, predicted: FloatArray, used: Bool
         _factor(observations, predicted, used, number, index)
         for number, test in enumerate(observations.tests)
         for index, channel in enumerate(test.channels)
-        if channel.name == found.channel and channel is not test.given_channel and not test.locked_levels
+        if channel.name == found.channel and channel is not test.given_channel and test.locked is None
     ]
     spread = THRESHOLDS.verdict.factor_spread
     return all(other > 0.0 and abs(math.log(other / found.factor)) <= spread for other in same)
+
+
+def _driven_by_voltage(test: Measurement) -> bool:
+    """Whether the voltage is given, or its rows refer to it."""
+    by_voltage = test.record is not None and test.record.input_channel.quantity is Quantity.VOLTAGE
+    return by_voltage or test.over_voltage
 
 
 def _all_factors(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[Factor, ...]:
@@ -106,7 +113,7 @@ def _all_factors(observations: Observations, predicted: FloatArray, used: BoolAr
     """
     limit, found = math.log(THRESHOLDS.verdict.factor_ratio), []
     for number, test in enumerate(observations.tests):
-        if test.locked_levels:
+        if test.locked is not None:
             continue
         of_test = [
             (channel, factor)
@@ -114,7 +121,7 @@ def _all_factors(observations: Observations, predicted: FloatArray, used: BoolAr
             if channel is not test.given_channel
             and math.isfinite(factor := _factor(observations, predicted, used, number, index))
         ]
-        if test.driven_by_voltage and all(
+        if _driven_by_voltage(test) and all(
             0.0 < factor * THRESHOLDS.verdict.factor_ratio < 1.0 for _, factor in of_test
         ):
             continue

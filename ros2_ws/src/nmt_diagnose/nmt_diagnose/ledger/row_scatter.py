@@ -15,8 +15,9 @@ from scipy.special import chdtri
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.fit.misfit import series_of, where_of
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.noise.scatter import neighbour_cubics
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _PHASES = (Part.PHASE, Part.PHASE_ERROR)

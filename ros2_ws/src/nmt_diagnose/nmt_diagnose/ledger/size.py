@@ -20,7 +20,8 @@ from nmt_diagnose.fit.noise import sigma_of
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.row_scatter import row_scatter
 from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, WITHIN, pass_all
-from nmt_diagnose.observations.observables import Natural, Observations, Part, parts_where, with_natural
+from nmt_diagnose.measurements.measurement import Observations, is_broad_band, locked_levels
+from nmt_diagnose.observations.observables import Natural, Part, parts_where, with_natural
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _PERCENT = 100.0
@@ -180,7 +181,7 @@ def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, flo
     errors = found.fit.errors
     largest = row_scatter(data.observations, errors.values, data.sigma).largest_scale(data.groups.of, len(data.counts))
     # Each line of a recorded random test brings the noise of its own neighbourhood.
-    recorded = [test.broad_band and np.ptp(test.span_s or (0.0,)) > 0.0 for test in data.observations.tests]
+    recorded = [is_broad_band(test) and np.ptp(test.span_s or (0.0,)) > 0.0 for test in data.observations.tests]
     of_lines = np.unique(data.groups.of[data.used & np.array(recorded)[data.observations.rows.test]])
     largest[of_lines] = np.minimum(largest[of_lines], THRESHOLDS.verdict.credible_noise_scale**2)
     weights = np.maximum(errors.weights, 1.0 / largest[data.groups.of])
@@ -481,7 +482,7 @@ def large_lines(observations: Observations, wanted: float) -> BoolArray:
     share = np.full(lines.size, np.inf)
     for number, row in enumerate(lines):
         test = observations.tests[rows.test[row]]
-        levels = test.locked_levels
+        levels = locked_levels([test])
         fundamentals = levels[rows.level[row]].fundamentals if levels else ()
         if fundamentals and fundamentals[rows.channel[row]] > 0.0:
             share[number] = observations.values[row] / fundamentals[rows.channel[row]]

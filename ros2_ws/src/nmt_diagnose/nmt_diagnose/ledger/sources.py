@@ -17,7 +17,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.boundary_effects import joint_location
 from nmt_diagnose.effects.location import Location
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.prediction.influence import Source, SourceColumn
 from nmt_diagnose.thresholds import THRESHOLDS

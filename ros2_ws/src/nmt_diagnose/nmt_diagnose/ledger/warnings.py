@@ -10,7 +10,8 @@ import numpy as np
 from nmt_core.key_units import of_rotation
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.ledger.diagnosis import Gap, Recalibrated, Verdict
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _LISTED_PARAMETERS = 3

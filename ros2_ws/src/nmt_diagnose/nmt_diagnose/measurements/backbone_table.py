@@ -8,24 +8,32 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_diagnose.law.held_levels import HeldLevels, levels_over_amplitude
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
-from nmt_diagnose.measurements.locked_windows.predictor import PeriodicLevels
-from nmt_diagnose.measurements.measurement import Driven
+from nmt_diagnose.measurements.held_levels import HeldLevels, LockedLevel
+from nmt_diagnose.measurements.locked_prediction import PeriodicLevels
+from nmt_diagnose.measurements.measurement import (
+    CurveAxis,
+    Driven,
+    LevelSeries,
+    LockedLevels,
+    Observations,
+    RowTable,
+    axis_of_amplitudes,
+    empty,
+    joined,
+)
 from nmt_diagnose.observations.bag_windows import BagWindows, Window
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.observations.noise.scatter import neighbour_cubics
-from nmt_diagnose.observations.observables import Observations, Part, Place, Rows, RowTable, empty, joined
+from nmt_diagnose.observations.observables import Part, Place, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.tables_together import TablesTogether
 from nmt_diagnose.prediction.parts_cache import PartsCache
@@ -40,10 +48,6 @@ from nmt_rig.model.linear_modes import damped_modes
 from nmt_rig.rig import Rig, ShakerSection
 from nmt_signals.harmonics import harmonic_amplitudes
 from nmt_signals.sine_fit import fit_frequency
-
-if TYPE_CHECKING:
-    from nmt_diagnose.observations.bag_windows import BagWindows
-    from nmt_diagnose.observations.tables_together import TablesTogether
 
 
 @dataclass(frozen=True)
@@ -61,25 +65,13 @@ class BackboneTable(Driven):
 
     WORDS: ClassVar[str] = "backbone table"
     reduced: ClassVar[bool] = True
-    ranked: ClassVar[bool] = True
-    interleaved: ClassVar[bool] = True
-    rising: ClassVar[bool] = True
+    series: ClassVar[LevelSeries] = LevelSeries(ranked=True, interleaved=True, rising=True)
 
     name: str
     drive_point: int
     channel: MeasuredChannel
     amplitudes: FloatArray
     noise_degrees: float = math.inf
-
-    @classmethod
-    def read(cls, bag: BagWindows) -> list[Observations]:
-        """Windows of phase resonance that no force was recorded of; no other kind reads them."""
-        return unforced_observations(bag)
-
-    @classmethod
-    def read_tables(cls, tables: TablesTogether) -> Observations | None:
-        """Frequency and damping ratio over amplitude."""
-        return backbone_observations(tables)
 
     @property
     def channels(self) -> tuple[MeasuredChannel, ...]:
@@ -109,13 +101,14 @@ class BackboneTable(Driven):
         """With its amplitudes larger by a share."""
         return replace(self, amplitudes=self.amplitudes * (1.0 + share))
 
+    @property
+    def axis(self) -> CurveAxis:
+        """Amplitude of its channel."""
+        return axis_of_amplitudes(self.channel, self.amplitudes)
+
     def held_levels(self, observations: Observations, number: int) -> HeldLevels | None:
         """Its amplitudes as levels."""
         return levels_over_amplitude(self.drive_points, self.channels, self.amplitudes, observations, number)
-
-    def abscissa(self, rows: Rows, which: IntArray) -> FloatArray:
-        """Amplitude of its channel."""
-        return self.amplitudes[rows.level[which]]
 
 
 # -- predictor -----------------------------------------------------------------------------------------------------
@@ -142,7 +135,7 @@ class BackbonePredictor(PeriodicLevels):
         probe = MeasuredChannel("motion", Quantity.DISPLACEMENT, test.drive_point, ideal=True)
         force = MeasuredChannel("force", Quantity.FORCE, test.drive_point, ideal=True)
         channels = tuple(dict.fromkeys((test.channel, force, probe)))
-        inner = LockedWindows(
+        inner = LockedLevels(
             test.name, test.drive_points, probe.name, channels, settings.harmonics, "response", tuple(levels)
         )
         super().__init__(inner, rows, settings)
@@ -324,7 +317,7 @@ def _backbone(name: str, windows: Sequence[Window], bag: BagWindows) -> Observat
         TableKind.BACKBONE, columns, units, channel.quantity, point=channel.point, drive_point=view.rig.drive_point
     )
     driven = ModelView.of(view.rig, (view.rig.drive_point,))
-    found = BackboneTable.read_tables(TablesTogether(name, (table,), driven, (channel,), settings))
+    found = backbone_observations(TablesTogether(name, (table,), driven, (channel,), settings))
     return joined([empty(notes), *([] if found is None else [found])])
 
 
@@ -340,3 +333,64 @@ def _row(signal: FloatArray, rate: float, guess_hz: float, settings: Observation
     amplitude = abs(harmonic_amplitudes(cycles, signal[None, :], 3)[0, 1])
     parts = [fit_frequency(part, rate, frequency) for part in np.array_split(signal, min(_PARTS, int(periods // 2)))]
     return frequency, float(np.std(parts, ddof=1)) / math.sqrt(len(parts)), float(amplitude)
+
+
+# -- levels ----------------------------------------------------------------------------------------------------------
+
+_MOST_NODES = 12
+"""Amplitudes of a decay or a table: more say the same again."""
+
+
+def levels_over_amplitude(
+    drive_points: tuple[int, ...],
+    channels: tuple[MeasuredChannel, ...],
+    amplitudes: FloatArray,
+    observations: Observations,
+    number: int,
+) -> HeldLevels | None:
+    """Amplitudes of a decay or a table as levels, spread evenly over the logarithm of the amplitude.
+
+    Args:
+        drive_points: measurement point of each exciter.
+        channels: the first is the one of the amplitudes.
+        amplitudes: in its unit, (k,).
+        observations: the real side.
+        number: of the measurement.
+    """
+    if channels[0].quantity not in MOTIONS:
+        return None
+    rows, here, count = observations.rows, observations.rows.test == number, len(amplitudes)
+    found = {part: (np.full(count, np.nan), np.full(count, np.nan)) for part in (Part.LOG_FREQUENCY, Part.DAMPING)}
+    for part, (value, std) in found.items():
+        where = here & (rows.part == part)
+        value[rows.level[where]], std[rows.level[where]] = observations.values[where], observations.sigma[where]
+    (log_omega, log_std), (ratio, ratio_std) = found[Part.LOG_FREQUENCY], found[Part.DAMPING]
+    values, std = np.full((count, len(channels), 2), np.nan, complex), np.full((count, len(channels), 2), np.nan)
+    values[:, 0, 1], std[:, 0, 1] = amplitudes, 0.0
+    for channel in range(1, len(channels)):
+        for part in (Part.LOG_MAGNITUDE, Part.PHASE):
+            where = here & (rows.part == part) & (rows.channel == channel)
+            level, value = rows.level[where], observations.values[where]
+            known = values[level, channel, 1] if part is Part.PHASE else 1.0
+            values[level, channel, 1] = known * np.exp(value if part is Part.LOG_MAGNITUDE else 1j * value)
+            std[level, channel, 1] = np.abs(values[level, channel, 1]) * observations.sigma[where]
+    omega = np.exp(log_omega)
+    scale = (1j * omega[:, None, None]) ** np.array([MOTIONS[c.quantity] for c in channels])[None, :, None]
+    values[:, :, 0], std[:, :, 0] = 0.0, 0.0
+    usable = np.flatnonzero(np.isfinite(omega) & np.isfinite(ratio) & (np.asarray(amplitudes) > 0.0))
+    if not usable.size:
+        return None
+    order = usable[np.argsort(np.asarray(amplitudes)[usable], kind="stable")]
+    spots = np.linspace(0, order.size - 1, min(order.size, _MOST_NODES)).round().astype(int)
+    chain = observations.chains[number] if observations.chains else None
+    chosen = [int(k) for k in order[spots]]
+    complete = np.flatnonzero(np.isfinite(values[chosen]).all(axis=(0, 2)))
+    with np.errstate(invalid="ignore"):  # amplitudes that are held out have no frequency
+        values, std = (values / scale)[:, complete], (std / np.abs(scale))[:, complete]
+    levels = HeldLevels(
+        observations.tests[number].name, drive_points, tuple(range(count)), omega,
+        np.zeros((1, count, 2), complex), np.zeros((1, count)),
+        tuple(channels[int(k)] for k in complete), values, std,
+        chain, ratio, np.hypot(log_std, ratio_std),
+    )  # fmt: skip
+    return levels.take(chosen)

@@ -10,21 +10,31 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_diagnose.law.held_levels import HeldLevels, levels_over_amplitude
+from nmt_diagnose.measurements.backbone_table import levels_over_amplitude
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.rows_of_channels import add_limit, believed_limits
-from nmt_diagnose.measurements.measurement import Driven
+from nmt_diagnose.measurements.held_levels import HeldLevels
+from nmt_diagnose.measurements.locked_reading import add_limit, believed_limits
+from nmt_diagnose.measurements.measurement import (
+    CurveAxis,
+    Driven,
+    LevelSeries,
+    Observations,
+    RowTable,
+    axis_of_amplitudes,
+    empty,
+)
+from nmt_diagnose.observations.bag_windows import BagWindows
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
-from nmt_diagnose.observations.observables import FUNDAMENTAL, Observations, Part, Place, Rows, RowTable, empty
+from nmt_diagnose.observations.observables import FUNDAMENTAL, Part, Place, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.decay_kernel import free_rows, observed_ratios
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -56,9 +66,6 @@ from nmt_signals.decays.decay_signal import Ridge, demodulated
 from nmt_signals.decays.half_cycles import half_cycle_nodes
 from nmt_signals.thresholds import DECAYS
 
-if TYPE_CHECKING:
-    from nmt_diagnose.observations.bag_windows import BagWindows
-
 
 @dataclass(frozen=True)
 class RecordedDecay(Driven):
@@ -76,9 +83,7 @@ class RecordedDecay(Driven):
 
     WORDS: ClassVar[str] = "ring-down"
     free: ClassVar[bool] = True
-    interleaved: ClassVar[bool] = True
-    rising: ClassVar[bool] = True
-    linear_chain: ClassVar[bool] = True
+    series: ClassVar[LevelSeries] = LevelSeries(interleaved=True, rising=True)
     unexcited: ClassVar[tuple[Part, ...]] = (Part.LIMIT,)
 
     name: str
@@ -88,17 +93,6 @@ class RecordedDecay(Driven):
     frequency_hz: float
     others: tuple[MeasuredChannel, ...] = ()
     resting_points: tuple[int, ...] = ()
-
-    @classmethod
-    def read(cls, bag: BagWindows) -> list[Observations]:
-        """Windows of free decays, a test each."""
-        return [
-            ring_down_observations(
-                name, window.stretch, window.segment.frequency_hz, bag.view, bag.of_decays, bag.settings,
-                bag.controlled_quantity,
-            )
-            for name, window in bag.each([TestKind.RING_DOWN])
-        ]  # fmt: skip
 
     @property
     def channels(self) -> tuple[MeasuredChannel, ...]:
@@ -123,21 +117,18 @@ class RecordedDecay(Driven):
         points, channel = self.drive_points, self.channel
         return motion_at_amplitudes(rig, points, channel, self.amplitudes, channels, settings, self.frequency_hz)
 
-    def resonance_rows(self, rows: Rows) -> BoolArray:
-        """Its frequencies."""
-        return np.asarray(rows.part == Part.LOG_FREQUENCY)
-
     def repeat_key(self, rows: Rows, index: int) -> tuple[object, float]:
         """Number of the amplitude."""
         return int(rows.level[index]), 0.0
 
+    @property
+    def axis(self) -> CurveAxis:
+        """Amplitude of the first channel."""
+        return axis_of_amplitudes(self.channel, self.amplitudes)
+
     def held_levels(self, observations: Observations, number: int) -> HeldLevels | None:
         """Its amplitudes as levels."""
         return levels_over_amplitude(self.drive_points, self.channels, self.amplitudes, observations, number)
-
-    def abscissa(self, rows: Rows, which: IntArray) -> FloatArray:
-        """Amplitude of the first channel."""
-        return self.amplitudes[rows.level[which]]
 
 
 # -- predictor -----------------------------------------------------------------------------------------------------
@@ -323,6 +314,17 @@ class RingDownPredictor(Predictor):
 
 _LATE_SHARE = 0.1  # of the largest motion, below which spectra missed the beginning of a decay
 _ORDER = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
+
+
+def decays_of(bag: BagWindows) -> list[Observations]:
+    """Windows of free decays, a test each."""
+    return [
+        ring_down_observations(
+            name, window.stretch, window.segment.frequency_hz, bag.view, bag.of_decays, bag.settings,
+            bag.controlled_quantity,
+        )
+        for name, window in bag.each([TestKind.RING_DOWN])
+    ]  # fmt: skip
 
 
 def ring_down_observations(

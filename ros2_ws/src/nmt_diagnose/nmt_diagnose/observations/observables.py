@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from nmt_diagnose.measurements.measurement import Measurement
-    from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
-    from nmt_diagnose.observations.origin import Origin
 
 
 class Natural(Enum):
@@ -215,77 +210,6 @@ class Rows:
         return Rows(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
-@dataclass(frozen=True)
-class Observations:
-    """All observables of a real side.
-
-    Attributes:
-        tests: the tests, in the order of ``rows.test``.
-        rows: identity of the observables.
-        values: measured values, shape (m,).
-        std: standard uncertainty of each (noise; no model floor), shape (m,).
-        floor: standard deviation of what repeats of the same test or the finite exactness of estimator, lock and
-            model add, shape (m,).
-        notes: sentences on what was found, left out and why (shown to the user).
-        inputs: bags with their SHA-256.
-        chains: tolerances of the measuring chain of each test, None = it measures as the rig file says; may be empty.
-        origins: what made each of ``inputs``; may be empty.
-        matters: smallest relative size of a difference that matters, by kind (frequency, damping, response,
-            harmonics); empty = a model may not be off at all.
-    """
-
-    tests: tuple[Measurement, ...]
-    rows: Rows
-    values: FloatArray
-    std: FloatArray
-    floor: FloatArray
-    notes: tuple[str, ...] = ()
-    inputs: tuple[tuple[str, str], ...] = ()
-    chains: tuple[MeasuringChain | None, ...] = ()
-    origins: tuple[Origin, ...] = ()
-    matters: Mapping[str, float] = field(default_factory=dict)
-
-    @property
-    def turns(self) -> bool:
-        """Whether angles and torques were recorded."""
-        return any(channel.turns for test in self.tests for channel in test.channels)
-
-    @property
-    def sigma(self) -> FloatArray:
-        """What residuals are divided by, √(std² + floor²), shape (m,)."""
-        return np.hypot(self.std, self.floor)
-
-    def take(self, which: NDArray[np.bool_] | IntArray) -> Observations:
-        """Part of the observations; the tests stay as they are."""
-        return Observations(
-            self.tests, self.rows.take(which), self.values[which], self.std[which], self.floor[which], self.notes,
-            self.inputs, self.chains, self.origins, self.matters,
-        )  # fmt: skip
-
-
-def joined(parts: Sequence[Observations]) -> Observations:
-    """Several sets of observations as one; tests are renumbered."""
-    tests: list[Measurement] = []
-    rows: list[Rows] = []
-    for part in parts:
-        shifted = {name: getattr(part.rows, name) for name in Rows.__dataclass_fields__}
-        shifted["test"] = part.rows.test + len(tests)
-        rows.append(Rows(**shifted))
-        tests.extend(part.tests)
-    columns = [np.concatenate([getattr(row, name) for row in rows]) for name in Rows.__dataclass_fields__]
-    return Observations(
-        tuple(tests),
-        Rows(*columns),
-        np.concatenate([part.values for part in parts]),
-        np.concatenate([part.std for part in parts]),
-        np.concatenate([part.floor for part in parts]),
-        tuple(note for part in parts for note in part.notes),
-        tuple(item for part in parts for item in part.inputs),
-        tuple(chain for part in parts for chain in (part.chains or (None,) * len(part.tests))),
-        tuple(origin for part in parts for origin in part.origins),
-    )
-
-
 class Place(NamedTuple):
     """What the rows of one level have in common; see :class:`nmt_diagnose.observations.observables.Rows`."""
 
@@ -295,45 +219,7 @@ class Place(NamedTuple):
     amplitude: float
 
 
-class RowTable:
-    """Observables of one test, in the order in which they are added."""
-
-    def __init__(self) -> None:
-        self._identity: list[tuple[float, ...]] = []
-        self._numbers: list[tuple[float, float, float]] = []
-
-    def __len__(self) -> int:
-        return len(self._numbers)
-
-    def add(
-        self, part: Part, value: float, std: float, floor: float, place: Place, channel: int = -1, harmonic: int = -1
-    ) -> None:
-        """One observable; channel and harmonic are −1 where it belongs to none."""
-        self._identity.append(
-            (place.level, channel, harmonic, int(part), place.time_s, place.frequency_hz, place.amplitude)
-        )
-        self._numbers.append((value, std, floor))
-
-    def observations(self, test: Measurement, notes: Sequence[str] = ()) -> Observations:
-        """The rows as observations of one test; rows that are not finite are left out."""
-        identity = np.array(self._identity, dtype=np.float64).reshape(-1, 7)
-        numbers = np.array(self._numbers, dtype=np.float64).reshape(-1, 3)
-        level, channel, harmonic, part = (identity[:, column].astype(np.int64) for column in range(4))
-        time_s, frequency_hz, amplitude = (identity[:, column].copy() for column in (4, 5, 6))
-        number = np.zeros(len(self), dtype=np.int64)
-        rows = Rows(number, level, channel, harmonic, part, time_s, frequency_hz, amplitude)
-        result = Observations((test,), rows, numbers[:, 0], numbers[:, 1], numbers[:, 2], tuple(notes))
-        usable: NDArray[np.bool_] = np.asarray(np.isfinite(numbers).all(axis=1))
-        return result if usable.all() else result.take(usable)
-
-
 def no_rows() -> Rows:
     """No rows."""
     integers, real = np.zeros(0, dtype=np.int64), np.zeros(0)
     return Rows(integers, integers, integers, integers, integers, real, real, real)
-
-
-def empty(notes: Sequence[str] = ()) -> Observations:
-    """No observables, only notes."""
-    real = np.zeros(0)
-    return Observations((), no_rows(), real, real, real, tuple(notes))

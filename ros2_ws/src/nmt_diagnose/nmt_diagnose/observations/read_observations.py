@@ -12,13 +12,13 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import ROTATION_UNITS
 from nmt_diagnose.coverage import NotCoveredError, covers, refuse_unbalanced
+from nmt_diagnose.measurements.measurement import Observations, empty, joined
 from nmt_diagnose.measurements.registry import MEASUREMENTS
-from nmt_diagnose.measurements.stepped_responses.table_reading import measured_together
+from nmt_diagnose.measurements.stepped_reading import measured_together
 from nmt_diagnose.observations.bag_windows import BagWindows
-from nmt_diagnose.observations.channels.measuring_chain import measuring_chain
+from nmt_diagnose.observations.channels.measuring_chain import measuring_chain, table_chain
 from nmt_diagnose.observations.noise.floors import repeatability, with_stated_repeatability
 from nmt_diagnose.observations.noise.scatter import with_shared_scatter
-from nmt_diagnose.observations.observables import Observations, empty, joined
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, strangers
 from nmt_diagnose.observations.read_tables import table_observations
@@ -177,7 +177,9 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         more = f" and {count} more point{'s' if count > 1 else ''}" if count else ""
         test_name = name if len(tables) == len(numbers) and not usable else f"{name}/{first}{more}"
         reduced = table_observations(test_name, [tables[number] for number in numbers], model, settings)
-        chains = tuple(test.table_chain(settings.calibration) for test in reduced.tests)
+        chains = tuple(
+            None if test.lines is None else table_chain(test.channels, settings.calibration) for test in reduced.tests
+        )
         parts.append(replace(reduced, chains=chains))
     if not found and not tables:
         notes.append(f"{name}: no level was locked and no window was marked, so there is nothing to compare.")

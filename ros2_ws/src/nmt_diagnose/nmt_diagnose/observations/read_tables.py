@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Observations, empty
 from nmt_diagnose.measurements.registry import MEASUREMENTS
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, empty
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.tables_together import TablesTogether
 from nmt_record.exchange.reduced.observables import ObservableTable
@@ -39,7 +39,11 @@ def table_observations(
     view = ModelView.of(model, (drive_point,))
     channels = tuple(_channel(each, view, each.point or drive_point) for each in tables)
     together = TablesTogether(name, tuple(tables), view, channels, settings)
-    found = next(found for kind in MEASUREMENTS if (found := kind.read_tables(together)) is not None)
+    found = next(
+        found
+        for kind in MEASUREMENTS
+        if kind.read_tables is not None and (found := kind.read_tables(together)) is not None
+    )
     return replace(found, notes=(*notes, *found.notes))
 
 

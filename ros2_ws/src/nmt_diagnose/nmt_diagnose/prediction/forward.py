@@ -212,13 +212,13 @@ class Forward:
         if source.kind == "time":
             return self._time_influence(rig, prediction)
         for index, (predictor, where) in enumerate(zip(self._twins, self._where, strict=True)):
-            test, here = self.tests[index], source
+            here = source
             if source.kind == "response_sensor":
-                known = [channel.name for channel in test.channels]
+                known = [channel.name for channel in self.tests[index].channels]
                 if source.channel not in known:
                     continue
                 here = replace(source, index=known.index(source.channel))
-            columns, labels = test.influence(predictor, rig, cache, prediction.states[index], here, self.settings)
+            columns, labels = predictor.influence(rig, cache, prediction.states[index], here)
             full = np.zeros((len(self.rows), columns.shape[1]))
             full[where] = columns
             blocks.append(self.difference(full, np.zeros_like(full)))
@@ -248,4 +248,5 @@ class Forward:
 
 def traced(tests: Sequence[Measurement], prediction: Prediction) -> tuple[Measurement, ...]:
     """The tests with the noise of measured amplitudes propagated as a prediction's solutions say."""
-    return tuple(test.traced(states) for test, states in zip(tests, prediction.states, strict=True))
+    each = zip(tests, prediction.states, strict=True)
+    return tuple(test if test.lines is None else test.lines.traced(states) for test, states in each)

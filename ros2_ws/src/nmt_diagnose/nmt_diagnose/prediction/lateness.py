@@ -13,7 +13,8 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Observations, is_broad_band
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
@@ -44,7 +45,7 @@ def lateness(observations: Observations, rig: Rig) -> dict[tuple[int, int], floa
         rig: the model.
     """
     rows = observations.rows
-    random = [k for k, test in enumerate(observations.tests) if test.broad_band]
+    random = [k for k, test in enumerate(observations.tests) if is_broad_band(test)]
     selected = np.isin(rows.test, random) & (rows.part == Part.PHASE)
     if not selected.any():
         return {}

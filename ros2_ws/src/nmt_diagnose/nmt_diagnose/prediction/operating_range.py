@@ -13,8 +13,8 @@ from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.effects.operating_range import OperatingRange
 from nmt_diagnose.effects.rig_edit import with_exciters
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import Observations, Part
+from nmt_diagnose.measurements.measurement import Measurement, Observations, locked_levels
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.resting_motion import Motion, mode_under_test
@@ -100,7 +100,7 @@ def operating_range(
         inertia = {point: moved * (drive / max(rotation[point], 1e-300)) ** 2 for point in inertia}
     spans = [span for test in tests if (span := test.span_s) is not None]
     start, stop = min((span[0] for span in spans), default=0.0), max((span[1] for span in spans), default=0.0)
-    cycles = [level.cycles_before for test in tests for level in test.locked_levels]
+    cycles = [level.cycles_before for level in locked_levels(tests)]
     return OperatingRange(
         omega=omega,
         displacement=displacement,
@@ -162,19 +162,23 @@ def _clipped_at(observations: Observations) -> dict[str, float]:
 def _clipped_records(tests: Sequence[Measurement]) -> dict[str, float]:
     """Lowest level at which the samples of each channel of records stay, in its unit."""
     found: dict[str, float] = {}
-    for test in tests:
-        for channel, level in zip(test.channels, test.limits, strict=False):
-            if level > 0.0:
-                found[channel.name] = min(found.get(channel.name, math.inf), float(level))
+    for channel, level in _limits(tests):
+        if level > 0.0:
+            found[channel] = min(found.get(channel, math.inf), level)
     return found
 
 
 def _unclipped(tests: Sequence[Measurement]) -> frozenset[str]:
     """Channels of records alone whose samples stay at no level: where such a record ends, its signal turned back."""
-    if not all(test.over_time for test in tests):
+    if any(test.record is None for test in tests):
         return frozenset()
-    known = {channel.name for test in tests for channel, _ in zip(test.channels, test.limits, strict=False)}
-    return frozenset(known - set(_clipped_records(tests)))
+    return frozenset({channel for channel, _ in _limits(tests)} - set(_clipped_records(tests)))
+
+
+def _limits(tests: Sequence[Measurement]) -> list[tuple[str, float]]:
+    """Channels of records and the level at which the samples of each stay, in its unit; 0 = nowhere."""
+    records = [test.record for test in tests if test.record is not None]
+    return [(c.name, float(level)) for it in records for c, level in zip(it.channels, it.limits, strict=False)]
 
 
 def _of_samples(observations: Observations, part: Part) -> dict[str, float]:

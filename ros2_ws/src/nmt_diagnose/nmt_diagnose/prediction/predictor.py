@@ -5,7 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
+
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.prediction.influence import Source, SourceColumn
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_rig.rig import Rig
 
@@ -33,6 +37,16 @@ class Predictor:
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[Any, ...] | None) -> list[Any] | None:
         """One solution per level, from those of a similar rig; None where the values follow at once."""
         return None
+
+    def influence(
+        self, rig: Rig, cache: PartsCache, states: Sequence[Any], source: Source
+    ) -> tuple[FloatArray, list[SourceColumn]]:
+        """What unit sources at a place would do to its rows, (rows, sources), and what each is; none by default."""
+        return np.zeros((len(self.rows), 0)), []
+
+    def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
+        """What a standard deviation of each error of a record's channels adds to the rows, (rows,) each, by name."""
+        return {}
 
     def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any]) -> FloatArray:
         """Observables of the rows, (rows,); NaN where a level has no solution."""

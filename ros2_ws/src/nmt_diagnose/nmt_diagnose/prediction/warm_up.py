@@ -9,14 +9,14 @@ from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import with_element
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record.driven_record import DrivenRecord
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
-from nmt_diagnose.measurements.locked_windows.locked_level import LockedLevel
-from nmt_diagnose.measurements.locked_windows.locked_windows import LockedWindows
+from nmt_diagnose.measurements.driven_record import DrivenRecord
+from nmt_diagnose.measurements.held_levels import LockedLevel
+from nmt_diagnose.measurements.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.model.local_elements.springs import CubicSpringSection

@@ -9,7 +9,7 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_diagnose.ledger.diagnosis import Gap, Remainder, RemainderPart
 from nmt_diagnose.ledger.gap import NOISE, rms
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.say.residual_map import observables_of, unit_of_channel
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -56,7 +56,7 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
 def _levels(observations: Observations, number: int, after: FloatArray, selected: IntArray) -> str:
     """The third of a test's levels (or lines) where most of what is left lies; empty where there is none."""
     test = observations.tests[number]
-    place, steps_word = test.thirds(observations.rows, selected)
+    place = test.axis.thirds(observations.rows, selected)
     steps = np.unique(place)
     if steps.size < THRESHOLDS.verdict.remainder_fewest_levels:
         return ""
@@ -64,7 +64,7 @@ def _levels(observations: Observations, number: int, after: FloatArray, selected
     squares = np.bincount(third, after[selected] ** 2, minlength=len(_BANDS))
     most = int(np.argmax(squares))
     return (
-        f"{_BANDS[most]} {steps_word}"
+        f"{_BANDS[most]} {test.axis.steps}"
         if squares[most] > THRESHOLDS.verdict.remainder_third_share * squares.sum()
         else ""
     )

@@ -11,7 +11,8 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ledger.diagnosis import ResidualGroup
 from nmt_diagnose.ledger.gap import rms
-from nmt_diagnose.observations.observables import Observations, Part, PartFacts
+from nmt_diagnose.measurements.measurement import Observations, holds_amplitude
+from nmt_diagnose.observations.observables import Part, PartFacts
 
 # Bands of lines in the map of residuals.
 _BANDS = 10
@@ -27,7 +28,7 @@ def level_groups(observations: Observations) -> FloatArray:
     groups = observations.rows.level.astype(np.float64)
     for number, test in enumerate(observations.tests):
         selected = observations.rows.test == number
-        if test.over_frequency and selected.any():
+        if test.lines is not None and selected.any():
             groups[selected] = np.floor(
                 observations.rows.level[selected] * _BANDS / (observations.rows.level[selected].max() + 1)
             )
@@ -49,7 +50,7 @@ def residual_map(
     for key in np.unique(keys, axis=0):
         selected = np.all(keys == key, axis=1)
         test, level, channel, harmonic = (int(value) for value in key)
-        banded = (harmonic < 0 and channel >= 0) or observations.tests[test].held_amplitude
+        banded = (harmonic < 0 and channel >= 0) or holds_amplitude(observations.tests[test])
         result.append(
             ResidualGroup(
                 observations.tests[test].name,

@@ -14,8 +14,7 @@ import numpy as np
 from scipy.special import chdtrc, fdtrc, ndtr
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
-from nmt_diagnose.measurements.measurement import Measurement
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Measurement, Observations, locked_levels
 from nmt_diagnose.say.residual_map import channel_name
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -61,7 +60,7 @@ def residual_tests(observations: Observations, residual: FloatArray, used: BoolA
             continue
         squares = float(residual[selected] @ residual[selected])
         found.append(_size(test, squares, int(selected.sum())))
-        if test.locked_levels:
+        if test.locked is not None:
             found.extend(_over_level(observations, residual, selected, number))
             found.extend(_parity(observations, residual, selected, test.name))
             found.extend(_up_down(observations, residual, selected, test))
@@ -129,7 +128,7 @@ def _up_down(
 ) -> list[ResidualTest]:
     """Differences between two passages of the same drive level."""
     rows = observations.rows
-    drives = {level.index: level.drive for level in test.locked_levels}
+    drives = {level.index: level.drive for level in locked_levels([test])}
     pairs = [(a, b) for a in drives for b in drives if a < b and np.isclose(drives[a], drives[b], rtol=1e-6)]
     statistic, degrees_of_freedom = 0.0, 0
     for first, second in pairs:

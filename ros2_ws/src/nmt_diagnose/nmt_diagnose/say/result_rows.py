@@ -21,7 +21,7 @@ from nmt_diagnose.ledger.diagnosis import NULL, Gap, PlaceShare, Ranked, Recalib
 from nmt_diagnose.ledger.gap import ClosedShare
 from nmt_diagnose.ledger.held_out import Split
 from nmt_diagnose.ledger.size import is_demanded
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

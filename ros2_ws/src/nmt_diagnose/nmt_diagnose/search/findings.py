@@ -22,7 +22,7 @@ from nmt_diagnose.ledger.comparison import Comparison, Hypotheses, misfit, sourc
 from nmt_diagnose.ledger.held_out import named_tests
 from nmt_diagnose.ledger.plain_look import Factor, factors, share_left
 from nmt_diagnose.ledger.size import Objection, contradiction, leaves_something, needed
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.search.law_starts import law_of, with_laws

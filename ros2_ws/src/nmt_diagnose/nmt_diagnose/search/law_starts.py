@@ -16,7 +16,7 @@ from nmt_diagnose.fit.fitting import ON_THE_WAY, Start
 from nmt_diagnose.law.driven_law import read_driven_law
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
 from nmt_diagnose.law.record_law import read_record_law
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.search.search import WEAKER_SHARE, Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig

@@ -20,7 +20,7 @@ from nmt_diagnose.effects.location import Cause, Explanation
 from nmt_diagnose.fit.best_fit import StartName, spread_at
 from nmt_diagnose.fit.explanations import FittedExplanation, best_of
 from nmt_diagnose.fit.fitting import ON_THE_WAY, Data, FitResult, Start
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.search.law_starts import parameters_at
 from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS

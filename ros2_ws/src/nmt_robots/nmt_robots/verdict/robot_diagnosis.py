@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +37,6 @@ from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading, he
 from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
 from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
-from nmt_robots.verdict.alike_joints import joint_group, read_joint_table
 from nmt_robots.verdict.file_findings import file_findings
 from nmt_robots.verdict.joint_verdict import (
     JointVerdict,
@@ -52,13 +51,88 @@ from nmt_robots.verdict.joint_verdict import (
     without_claims,
 )
 from nmt_robots.verdict.next_motion import NextMotion, next_motion
-from nmt_robots.verdict.other_logs import OtherLog, model_of_other_log, other_log
-from nmt_robots.verdict.replay import Replay, replayed
+from nmt_robots.verdict.replay import Replay
 from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
 Progress = Callable[[str], None]
 _POSES = 200
 """Of a log, in which contacts are looked for."""
+
+
+_WITHIN = 2.0
+"""Combined standard uncertainties within which two logs say the same."""
+
+
+@dataclass(frozen=True)
+class ComparedTerm:
+    """A term of a joint by two logs, each with its standard uncertainty.
+
+    Attributes:
+        joint, words, unit: of the term.
+        first: by the first log; value and ±.
+        other: by the other one; both NaN where that has no such term.
+    """
+
+    joint: str
+    words: str
+    unit: str
+    first: tuple[float, float]
+    other: tuple[float, float]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both say the same within two combined ±."""
+        apart = abs(self.first[0] - self.other[0])
+        return bool(apart <= _WITHIN * float(np.hypot(self.first[1], self.other[1])))
+
+
+@dataclass(frozen=True)
+class OtherLog:
+    """A further log, which nothing of the first answer was fitted to.
+
+    Attributes:
+        source: file.
+        terms: that differ from the model by one of the logs.
+        left: by joint: rms of the torque, of what the model as it is, and of what the first log's terms leave of it,
+            each about its mean, N·m.
+        joints: the answer by this log alone.
+        model: file of a model of its own; empty = that of the first log.
+    """
+
+    source: str
+    terms: tuple[ComparedTerm, ...]
+    left: dict[str, tuple[float, float, float]]
+    joints: tuple[JointVerdict, ...] = ()
+    model: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        agreeing = sum(term.agrees for term in self.terms)
+        words = f"{agreeing} of {len(self.terms)} differing values agree within 2 ±" if self.terms else (
+            "no log finds a value that differs"
+        )  # fmt: skip
+        source = f"{self.source} with its own model {self.model}" if self.model else self.source
+        if not self.left:
+            return f"{source}: {words}; no joint moves in both."
+        model, terms = (float(np.sqrt(np.mean([row[place] ** 2 for row in self.left.values()]))) for place in (1, 2))
+        return (
+            f"{source}: {words}; of its torque the model leaves {model:.3g} N·m, with the first log's values "
+            f"{terms:.3g} N·m (rms over the joints)."
+        )
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As ``diagnosis.json`` has it."""
+        return {
+            "log": self.source,
+            "model": self.model,
+            "terms": [
+                {"joint": term.joint, "words": term.words, "unit": term.unit, "first": list(term.first),
+                 "other": list(term.other), "agrees": term.agrees}
+                for term in self.terms
+            ],
+            "left": {joint: list(values) for joint, values in self.left.items()},
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,41 +316,6 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
         robot, log, motion, tuple(ordered), as_well[0], tuple(as_well), tuple(verdicts), following,
         of_file=tuple(file_findings(robot, log.joints)), bodies=bodies, as_given=as_given,
     )  # fmt: skip
-
-
-def diagnose_robot_by_logs(
-    model: Path, real: Sequence[Path], progress: Progress = lambda _: None, alike: Path | None = None
-) -> RobotDiagnosis:
-    """Diagnose a robot by its first log, replay it, and test the answer on the others, of which nothing is fitted.
-
-    Args:
-        model: MJCF or URDF file.
-        real: logs or their sidecars.
-        progress: is told what is being done.
-        alike: table of joints that are meant to be alike; the logs are its repeats.
-
-    Raises:
-        BenchError: as :func:`diagnose_robot`; the table cannot be used.
-    """
-    if alike is not None:
-        read_joint_table(alike, [joint.name for joint in RobotModel(model).joints])
-    first = diagnose_robot(model, real[0], progress)
-    progress("replaying the log")
-    assert first.as_given is not None
-    replay = replayed(
-        (first.model, first.as_given[0]), (first.changed, first.log), first.motion, first.as_well, first.joints,
-        first.findings,
-    )  # fmt: skip
-    others = []
-    for path in real[1:]:
-        progress(f"testing on {path.name}")
-        theirs = model_of_other_log(model, real[0], path)
-        others.append(other_log(first, diagnose_robot(theirs, path), "" if theirs == model else theirs.name))
-    group = None
-    if alike is not None:
-        places = read_joint_table(alike, first.log.joints)
-        group = joint_group([first.joints, *(other.joints for other in others)], places)
-    return replace(first, others=tuple(others), replay=replay, group=group)
 
 
 def check_units(log: JointLog, joints: tuple[Joint, ...]) -> None:

@@ -21,7 +21,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, polygamma
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_diagnose.observations.observables import Observations
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 
 
@@ -93,8 +93,9 @@ def with_shared_scatter(observations: Observations) -> Observations:
     """The observations with the noise of sweeps that is estimated from their scatter taken together, by channel."""
     groups: dict[str, list[int]] = {}
     for number, test in enumerate(observations.tests):
-        if test.scatter_key is not None and np.any(observations.rows.test == number):
-            groups.setdefault(repr(test.scatter_key), []).append(number)
+        key = None if test.lines is None else test.lines.scatter_key
+        if key is not None and np.any(observations.rows.test == number):
+            groups.setdefault(repr(key), []).append(number)
     tests, std = list(observations.tests), observations.std.copy()
     notes = list(observations.notes)
     for numbers in groups.values():
@@ -105,7 +106,8 @@ def with_shared_scatter(observations: Observations) -> Observations:
         after, degrees = shrunk(before, np.array([tests[number].noise_degrees for number in numbers]))
         for number, selected, old, new, free in zip(numbers, rows_of_test, before, after, degrees, strict=True):
             std[selected] *= new / old  # of the first channel; others scatter in proportion
-            tests[number] = tests[number].with_scatter(float(old), float(new), float(free))
+            if (lines := tests[number].lines) is not None:
+                tests[number] = lines.with_scatter(float(old), float(new), float(free))
         low, high = (f"{100.0 * value:.2g}" for value in (after.min(), after.max()))
         span = f"{low} %" if low == high else f"{low} to {high} %"
         name = tests[numbers[0]].channels[0].name

@@ -1,21 +1,15 @@
-"""Observables of imposed motion: samples of the force (and of further responses) while the drive point moves as held.
-
-The motion and its derivatives are those of polynomials over a few samples (Savitzky and Golay, Anal. Chem. 36 (1964)
-1627), as many as its highest frequency allows: they do not ring where it starts or stops. What the noise of the motion
-makes of the force, and what the polynomials do where it changes fast, is part of the noise of the observables. Where
-the drive point stands still the force is whatever friction holds, and is no observable. No more samples are taken than
-the force has independent values.
-"""
+"""Records of a motion that was imposed."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 from scipy.ndimage import binary_dilation, binary_opening, uniform_filter1d
 from scipy.signal import savgol_coeffs, savgol_filter, welch
 
@@ -23,21 +17,231 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS, TestKind
-from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record.reading import (
+from nmt_diagnose.measurements.channel import MeasuredChannel, with_magnitudes
+from nmt_diagnose.measurements.driven_record import (
     followed_channels,
+    recorded,
     refinement,
     spread_samples,
+    stepped_model,
+    substeps_of,
     white_noise,
 )
-from nmt_diagnose.measurements.imposed_motion.imposed_motion import ImposedMotion
+from nmt_diagnose.measurements.measurement import LevelSeries, Observations, Record, RowTable, empty, joined
 from nmt_diagnose.observations.bag_windows import BagWindows, Window
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.observables import Observations, Part, Place, RowTable, empty, joined
+from nmt_diagnose.observations.observables import Part, Place, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
+from nmt_diagnose.prediction.imposed_kernel import MOTIONS_GIVEN, follow
+from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
+from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
+from nmt_diagnose.prediction.prediction_settings import PredictionSettings
+from nmt_diagnose.prediction.predictor import Predictor
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    resting_response,
+)
+from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.rig import ShakingTableSection
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.rig import Rig, ShakingTableSection
 from nmt_signals.channel_faults.clipping import clipping_level
+
+POSITION = "displacement"
+
+
+class ImposedMotion(Record):
+    """A record whose motion was imposed: the model is moved as measured, and force and further responses follow.
+
+    The input is the recorded motion of the drive point in its unit; the observables keep their means.
+    """
+
+    WORDS: ClassVar[str] = "imposed motion, its force predicted"
+    unexcited: ClassVar[tuple[Part, ...]] = (Part.LINE,)
+    series: ClassVar[LevelSeries] = LevelSeries(interleaved=True)
+
+    @property
+    def signals(self) -> dict[str, FloatArray]:
+        """Measured channels that the strength of a force may follow; the displacement of the drive point is one."""
+        return with_magnitudes({POSITION: self.motion[0], **self.followed})
+
+    def with_zero(self, steps: float) -> FloatArray:
+        """The motion with the zero of its sensor off by so many standard deviations, shape (3, n)."""
+        order = MOTIONS[self.input_channel.quantity]
+        moved = self.motion.copy()
+        time = np.arange(self.input.size) / self.sample_rate
+        for row in range(order + 1):
+            moved[row] += steps * self.zeros[0] * time ** (order - row) / math.factorial(order - row)
+        return moved
+
+    def with_gain(self, steps: float) -> FloatArray:
+        """The motion larger by so many standard deviations of its gain, shape (3, n)."""
+        return self.motion * (1.0 + steps * self.gain_std)
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> ImposedMotionPredictor:
+        """What predicts its rows."""
+        return ImposedMotionPredictor(self, rows, settings)
+
+    @property
+    def imposed_scales(self) -> tuple[float, float] | None:
+        """Displacement (m) and force (N), the largest."""
+        return self.size, self.force_n
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Motion of the drive point at its middle frequency, in the shape of the system linearised at rest."""
+        probe = next(i for i, c in enumerate(channels) if c.name == f"probe {self.drive_point}")
+        setup = Setup(self.drive_points, True, channels, FourierBasis.up_to(1))
+        parts, omega = PartsCache(settings).parts(rig, setup), 2.0 * np.pi * self.frequency_hz
+        q, y = resting_response(parts, omega)
+        scale = self.size / max(abs(y[probe]), 1e-300)
+        return [(parts, omega, 0.0, y * scale, q * scale)]
+
+
+# -- predictor -------------------------------------------------------------------------------------------------------
+
+
+_ERROR_STEP = 0.05  # of a standard deviation, for differences
+
+
+class ImposedMotionPredictor(Predictor):
+    """Predicts force and responses of one record of an imposed motion.
+
+    Args:
+        test: the record.
+        rows: its rows.
+        settings: of the predictor.
+    """
+
+    def __init__(self, test: ImposedMotion, rows: Rows, settings: PredictionSettings) -> None:
+        self.test, self.rows, self.settings = test, rows, settings
+        self.channels = tuple(test.channels)
+        self.use(Setup(test.drive_points, True, self.channels, FourierBasis.up_to(1)))
+        self._sample = np.clip(
+            np.round((rows.time_s - test.start_s) * test.sample_rate).astype(np.int64), 0, test.input.size - 1
+        )
+
+    def use(self, setup: Setup) -> None:
+        """Take the parts of rigs from a setup that other tests share."""
+        self.setup = setup
+        self._own = np.array(setup.index(self.channels), dtype=np.int64)
+
+    def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any] = ()) -> FloatArray:
+        """Observables of the test's rows."""
+        return self._of_rows(self._responses(rig, cache, self.test.motion), np.nan)
+
+    def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
+        """What a standard deviation of each error of the record adds to its rows, (rows,) each.
+
+        Args:
+            rig: about whose motion they act.
+            cache: of the prediction.
+            chain: of the record; None = that of the bench's simulator, whose sensors have no zeros and no gains.
+        """
+        if chain is None or not self.test.zeros.size:
+            return {}
+        test = self.test
+        base = self._responses(rig, cache, test.motion)
+        found: dict[str, FloatArray] = {}
+        for what, moved in (("zero", test.with_zero(_ERROR_STEP)), ("gain", test.with_gain(_ERROR_STEP))):
+            change = (self._responses(rig, cache, moved) - base) / _ERROR_STEP
+            found[f"{what} of {test.input_channel.name} in {test.name}"] = self._of_rows(change)
+        for number, channel in enumerate(self.channels):
+            selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
+            found[f"zero of {channel.name} in {test.name}"] = test.zeros[1 + number] * selected
+            found[f"gain of {channel.name} in {test.name}"] = (
+                chain.of(channel.name).gain * self._of_rows(base) * selected
+            )
+        return found
+
+    def _of_rows(self, responses: FloatArray, other: float = 0.0) -> FloatArray:
+        selected = self.rows.part == Part.SAMPLE
+        return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], other)
+
+    def _responses(self, rig: Rig, cache: PartsCache, motion: FloatArray) -> FloatArray:
+        """Recorded channels, (channels, samples)."""
+        test = self.test
+        parts = cache.parts(rig, self.setup, test.start_s + 0.5 * test.input.size / test.sample_rate)
+        rate = test.sample_rate * parts.clock
+        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        free = free_model(parts, self.settings)
+        substeps = substeps_of(free, rate) if free.poles.size else 1
+        model = stepped_model(free, parts.coordinates, rows, 1.0 / (rate * substeps))
+        steps = _between(motion * np.array([1.0, parts.clock, parts.clock**2])[:, None], substeps)
+        timed = parts.timed.tables(test.signals, substeps)
+        raw = follow(steps, substeps, parts.coordinates, model, parts.force_factor, parts.tables, timed)
+        return recorded(raw, parts, self._own, rate)
+
+
+def free_model(parts: RigParts, settings: PredictionSettings) -> LinearModel:
+    """Linear model of what moves freely while the motion of the drive point is given.
+
+    Args:
+        parts: of a rig with an ideal force.
+        settings: reduction.
+
+    Returns:
+        Inputs are the local forces, then displacement, velocity and acceleration of the drive point; outputs as those
+        of ``parts.linear``.
+    """
+    system, r = parts.system, parts.coordinates
+    m, c, k = system.mass, system.damping, system.stiffness
+    b = parts.inputs[:, r]
+    p, n = _split(system.selector(system.drive_point))
+    given = np.stack((k @ p, c @ p, m @ p), axis=1)
+    local = parts.inputs[:, :r]
+    share = float(p @ b)
+    # The force as an output of q and of the inputs.
+    along = p[None] / share
+    force = OutputRows(along @ k, along @ c, along @ m, -along @ local)
+    rows = parts.rows
+    feed = rows.feedthrough[:, r : r + 1]
+    whole = OutputRows(
+        rows.displacement + feed @ force.displacement,
+        rows.velocity + feed @ force.velocity,
+        rows.acceleration + feed @ force.acceleration,
+        rows.feedthrough[:, :r] + feed @ force.feedthrough,
+    )
+    direct = np.stack((whole.displacement @ p, whole.velocity @ p, whole.acceleration @ p), axis=1)
+    feedthrough = np.hstack((whole.feedthrough, direct))
+    if not n.shape[1]:
+        nothing = np.zeros((rows.displacement.shape[0], 0), dtype=np.complex128)
+        none = np.zeros(0, dtype=np.complex128)
+        shares = np.zeros((0, r + MOTIONS_GIVEN), dtype=np.complex128)
+        return LinearModel(none, nothing, nothing, nothing, shares, feedthrough.astype(np.complex128))
+    # The force itself acts along p alone.
+    inputs = n.T @ np.hstack((local, -given))
+    reduced = replace(
+        system, mass=n.T @ m @ n, damping=n.T @ c @ n, stiffness=n.T @ k @ n, exciters=(), elements=(), points={},
+        structure_size=n.shape[1],
+    )  # fmt: skip
+    outputs = OutputRows(whole.displacement @ n, whole.velocity @ n, whole.acceleration @ n, feedthrough)
+    return linear_model(reduced, inputs, outputs, settings.kept_modes, settings.full_size)
+
+
+def _between(motion: FloatArray, substeps: int) -> FloatArray:
+    """The motion (3, n) with steps between its samples; sample k comes to stand at ``substeps`` k."""
+    if substeps == 1:
+        return motion
+    samples = np.arange(motion.shape[1])
+    fine = np.minimum(np.arange(substeps * samples.size) / substeps, samples[-1])
+    return np.asarray(CubicSpline(samples, motion, axis=1)(fine))
+
+
+def _split(row: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """p with row · p = 1, and an orthonormal basis (n, n − 1) of what the row does not see (Householder)."""
+    size = float(np.linalg.norm(row))
+    pivot = int(np.argmax(np.abs(row)))
+    mirror = row / size
+    mirror[pivot] += np.sign(mirror[pivot])
+    basis = np.eye(row.size) - 2.0 * np.outer(mirror, mirror) / float(mirror @ mirror)
+    return row / size**2, np.delete(basis, pivot, axis=1)
+
+
+# -- reading ---------------------------------------------------------------------------------------------------------
+
 
 KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
 _PASSAGE = 0.05  # of a period that a reversal stays slow at the most; a sine takes a third of it

@@ -14,7 +14,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_windows.locked_level import PURE_TONE, Terms
+from nmt_diagnose.measurements.held_levels import PURE_TONE, Terms
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_responses
 from nmt_diagnose.observations.model_view import ModelView

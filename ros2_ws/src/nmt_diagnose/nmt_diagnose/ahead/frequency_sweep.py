@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.measurements.stepped_responses.predictor import SteppedSinePredictor
-from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+from nmt_diagnose.measurements.stepped_responses import SteppedResponses, SteppedSinePredictor
 from nmt_diagnose.observations.observables import Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings

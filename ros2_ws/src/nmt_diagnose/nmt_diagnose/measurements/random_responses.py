@@ -1,10 +1,11 @@
-"""Frequency responses of a random test: the system linearised about its motion, smoothed as the estimator does."""
+"""Frequency responses of a low-level random test."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +14,142 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.measurement import Observations, ResponseLines
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Part, Rows
 from nmt_diagnose.prediction.gaussian_motion import DrivenForces
+from nmt_diagnose.prediction.influence import Source, SourceColumn, source_vectors, with_sources
 from nmt_diagnose.prediction.linear_model import Fractions, LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.predictor import Predictor
-from nmt_diagnose.prediction.rig_parts import RigParts
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    noise_motion,
+)
+from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.prediction.rig_tables import sensor_gain
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
+from nmt_rig.rig_model import inputs_per_volt
 
-if TYPE_CHECKING:
-    from nmt_diagnose.measurements.random_responses.random_responses import RandomResponses
+
+@dataclass(frozen=True)
+class RandomResponses(ResponseLines):
+    """Frequency responses of a low-level random test, referred to the voltage, to the force or to the base.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channels: response channels, in the order of the observables.
+        reference: ``voltage``, ``force`` or ``base`` (acceleration of a shaking table).
+        lines_hz: frequency lines that became observables, Hz, shape (lines,).
+        resolution_hz: spacing of the lines of the estimator, Hz.
+        window: ``none``: the expected estimate is the response at the line itself;
+            ``hann``: the expected estimate at a line is the response averaged over the neighbouring lines with the
+            weights of |W|² (1/6, 2/3, 1/6 in spacings of ``resolution_hz``).
+        drive_rms: rms of the reference, V, N or m/s².
+        start_s, stop_s: on the clock of its bag, s.
+        drive_hold_hz: rate at which the drive went straight from sample to sample, Hz; infinite where it did not. The
+            observables are responses to the samples of the drive then: smaller by sinc², and with images of the drive
+            around multiples of that rate.
+        resting_points: measurement points of further exciters, whose drive is taken out of the responses.
+        other_rms: rms of their drive, which moves the structure too, V; empty = nothing.
+    """
+
+    WORDS: ClassVar[str] = "random, frequency response"
+    unexcited: ClassVar[tuple[Part, ...]] = (Part.LINE,)
+    broad_band: ClassVar[bool] = True
+    noise_group: ClassVar[str] = "lines of"
+
+    name: str
+    drive_point: int
+    channels: tuple[MeasuredChannel, ...]
+    reference: str
+    lines_hz: FloatArray
+    resolution_hz: float
+    window: str
+    drive_rms: float
+    start_s: float
+    stop_s: float
+    drive_hold_hz: float = math.inf
+    resting_points: tuple[int, ...] = ()
+    other_rms: tuple[float, ...] = ()
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> RandomPredictor:
+        """What predicts its rows."""
+        return RandomPredictor(self, rows, settings)
+
+    @property
+    def over_voltage(self) -> bool:
+        """Whether its rows refer to the voltage."""
+        return self.reference == "voltage"
+
+    @property
+    def divisor(self) -> MeasuredChannel | None:
+        """The force that its responses are divided by."""
+        if self.reference != "force":
+            return None
+        return MeasuredChannel(f"f{self.drive_point}", Quantity.FORCE, self.drive_point)
+
+    @property
+    def modal_hz(self) -> FloatArray | None:
+        """Its lines, infinite where images of a held drive are large, which rise towards half its rate."""
+        highest = THRESHOLDS.modes.least_images_share * self.drive_hold_hz
+        return np.where(self.lines_hz < highest, self.lines_hz, np.inf)
+
+    @property
+    def span_s(self) -> tuple[float, float] | None:
+        """Its beginning and end, s."""
+        return self.start_s, self.stop_s
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Rms of the motion over its lines, by the system linearised at rest."""
+        lines, rms = 2.0 * np.pi * self.lines_hz, self.drive_rms
+        if self.reference == "base":
+            rms /= inputs_per_volt(rig)[0]
+        return noise_motion(rig, self.drive_point, channels, settings, lines, rms, self.over_force)
+
+    def measured_sizes(self, observations: Observations, number: int, drive: float) -> dict[str, float]:
+        """Rms of each motion channel whose lines are all there."""
+        rows, sizes = observations.rows, dict[str, float]()
+        for index, channel in enumerate(self.channels):
+            selected = (rows.test == number) & (rows.channel == index)
+            selected &= (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1)
+            if channel.quantity in MOTIONS and int(selected.sum()) == self.lines_hz.size > 1:
+                magnitude = np.empty(self.lines_hz.size)
+                magnitude[rows.level[selected]] = np.exp(observations.values[selected])
+                weights = np.gradient(self.lines_hz)
+                sizes[channel.name] = self.drive_rms * math.sqrt(float(weights @ magnitude**2 / weights.sum()))
+        return sizes
+
+    def shifted(self, share: float) -> RandomResponses:
+        """With its lines higher by a share."""
+        return replace(self, lines_hz=self.lines_hz * (1.0 + share))
+
+    def errors(self, rows: Rows, chain: MeasuringChain) -> dict[str, FloatArray]:
+        """Delay of each kind of responses over the force that they are divided by."""
+        found: dict[str, FloatArray] = {}
+        late = math.sqrt(2.0) * chain.shared_delay_s
+        for index, channel in enumerate(self.channels if self.over_force else ()):
+            name = f"delay of {channel.quantity.name.lower()} over force"
+            selected = (rows.channel == index) & (rows.part == Part.PHASE)
+            column = found.setdefault(name, np.zeros(len(rows)))
+            column[selected] = late * 2.0 * np.pi * rows.frequency_hz[selected]
+        return found
+
+    def repeat_key(self, rows: Rows, index: int) -> tuple[object, float]:
+        """Frequency of the line."""
+        return round(float(rows.frequency_hz[index]), 6), 0.0
+
+
+# -- predictor -------------------------------------------------------------------------------------------------------
+
 
 # |W|² of the Hann window at a line's neighbours and at itself.
 HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
@@ -183,6 +306,14 @@ class RandomPredictor(Predictor):
             # The reference is the command: the amplifier comes after it.
             h[:, :-1] *= amplifier_gain(self.test.drive_rms, float(parts.saturation[0]))
         return np.asarray(h)
+
+    def influence(
+        self, rig: Rig, cache: PartsCache, states: Sequence[Any], source: Source
+    ) -> tuple[FloatArray, list[SourceColumn]]:
+        """What unit sources at a place would do to its rows, (rows, sources), and what each is."""
+        if source.kind == "controller":
+            return super().influence(rig, cache, states, source)
+        return influence_on_lines(self, rig, cache, source)
 
     def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any] = ()) -> FloatArray:
         """Observables of the test's rows."""
@@ -349,4 +480,82 @@ def linear_responses(
                 value -= (re[first + j] + 1j * im[first + j]) * closed[j, r]
             gain, _ = sensor_gain(s, channels[k])
             result[line, k] = gain * value
+    return result
+
+
+# -- influence -------------------------------------------------------------------------------------------------------
+
+
+def influence_on_lines(
+    predictor: RandomPredictor, rig: Rig, cache: PartsCache, source: Source
+) -> tuple[FloatArray, list[SourceColumn]]:
+    """Columns (rows of the test, sources): one for each line and real and imaginary part."""
+    parts = cache.parts(rig, predictor.setup, predictor.seconds)
+    responses = predictor.responses(rig, cache)
+    rows, r = predictor.rows, parts.coordinates
+    lines = predictor.test.lines_hz
+    channel_rows = predictor.channel_rows
+    columns: list[FloatArray] = []
+    names: list[SourceColumn] = []
+    model: LinearModel | None = None
+    count = 1
+    if source.kind not in ("force_sensor", "response_sensor"):
+        vectors, measured = source_vectors(rig, parts, source)
+        model = with_sources(parts, vectors, measured, predictor.settings)
+        count = vectors.shape[1]
+    for line in range(lines.size):
+        which = np.flatnonzero(rows.level == line)
+        if which.size == 0:
+            continue
+        omega = 2.0 * np.pi * lines[line] * parts.clock
+        changes = [
+            _line_change(predictor, parts, model, k, source, omega, responses[line], channel_rows, r)
+            for k in range(count)
+        ]
+        for k, change in enumerate(changes):
+            for turn in (1.0, 1j):
+                # A response of zero has no logarithm to change: its rows are not used.
+                there = responses[line] != 0.0
+                relative = np.divide(change * turn, responses[line], out=np.zeros_like(change), where=there)
+                column = np.zeros(len(rows))
+                channel = rows.channel[which]
+                column[which] = np.where(
+                    rows.part[which] == Part.LOG_MAGNITUDE, relative[channel].real,
+                    np.where(rows.part[which] == Part.PHASE, relative[channel].imag, 0.0),
+                )  # fmt: skip
+                columns.append(column)
+                part: Literal["re", "im"] = "re" if turn == 1.0 else "im"
+                names.append(SourceColumn(predictor.test.name, "line", line, part=part, vector=k))
+    if not columns:
+        return np.zeros((len(rows), 0)), []
+    return np.column_stack(columns), names
+
+
+def _line_change(
+    predictor: RandomPredictor, parts: RigParts, model: LinearModel | None, k: int, source: Source, omega: float,
+    responses: ComplexArray, channel_rows: Any, r: int,
+) -> ComplexArray:  # fmt: skip
+    """Change of the responses (channels,) by a unit source at one line."""
+    change = np.zeros(responses.size, dtype=np.complex128)
+    if model is None:
+        for index, channel in enumerate(predictor.test.channels):
+            is_force = channel.quantity == Quantity.FORCE
+            if (source.kind == "force_sensor" and is_force) or (
+                source.kind == "response_sensor" and not is_force and index == source.index
+            ):
+                change[index] = THRESHOLDS.prediction.unit_source_share * responses[index]
+        return change
+    s = 1j * omega
+    t, _ = model.at(s)
+    tangent = resting_tangent(parts, s)
+    both = [r, r + parts.input_per_volt.size + k]  # the first exciter and the source
+    closed = np.linalg.solve(np.eye(r) + t[:r, :r] * tangent, t[:r, both])
+    full = t[r:, both] - t[r:, :r] @ (tangent[:, None] * closed)
+    gains = np.array([predictor.gain(parts, row, s) for row in range(full.shape[0])])
+    full = full * gains[:, None]
+    # Unit: a share of the force at this line; where the channels have none, of the drive.
+    force = [row for row, section in enumerate(parts.sections) if section is not None and section.quantity == "force"]
+    size = abs(full[force[0], 0]) if force else 1.0
+    drive = full[channel_rows[-1], 0]
+    result: ComplexArray = THRESHOLDS.prediction.unit_source_share * size * full[channel_rows[:-1], 1] / drive
     return result

@@ -1,40 +1,23 @@
-"""Frequency responses at held amplitudes: harmonic balance of the nonlinear model at every line.
-
-A frequency response at a held force has folds: near them it changes without limit while the parameters of a model
-hardly do, and beyond them it is another branch. A fit of such values stalls. The way round is that the measured
-response itself says how large the motion was. So each line is solved with that amplitude s given (which has one
-solution, on whatever branch) and the model tells what it needs for it: the reference R(s), force or acceleration of
-the base, in magnitude and phase. That is smooth in every parameter of the model, and nearly linear in most.
-
-The error e of the measured magnitude enters twice, by the response itself and by s. With u = ln s,
-
-    ln|R(s)| − ln(level) = ρ' e + e_level,     ρ' = ∂ ln|R| / ∂u,
-
-so the response at the held level differs from the measured one by ρ / ρ', ρ being the left side. This is what a row
-predicts where |ρ'| ≥ 1: the response at the held level, to first order in the difference, on the branch that was
-measured. Towards a fold ρ' vanishes, and the response there would tell the level better than any laboratory holds it;
-so no ρ counts for more than the noise of the response: where |ρ'| < 1 a row predicts ρ itself. The phase is corrected
-by the same error e = ρ ρ' / max(ρ'², 1), and what stays unknown of that is part of its uncertainty. ρ' is noise
-propagation, so it is traced about one solution (:func:`with_growth`) and the same for all models that are compared.
-Where a strong nonlinearity meets light damping, e turns the phase by more than its first order about the measured
-amplitude holds for. So that is taken about the amplitude that the solution has, as far as it is within the noise.
-
-Where a jump was measured thus says which branch a line belongs to and nothing else: real jumps come early, by any
-disturbance. :mod:`nmt_diagnose.measurements.stepped_responses.frequency_sweep` finds where a model itself would jump.
-"""
+"""Frequency responses at held amplitudes."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
-from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.text.number_words import significant
+from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.held_levels import HeldLevels
+from nmt_diagnose.measurements.measurement import Measurement, Observations, ResponseLines
+from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.driven_lines import solve_lines
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
@@ -42,14 +25,180 @@ from nmt_diagnose.prediction.periodic_kernel import DRIVEN, Closing, Limits, adv
 from nmt_diagnose.prediction.periodic_state import has_coordinates, shared_unknowns
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.predictor import Predictor
+from nmt_diagnose.prediction.resting_motion import (
+    Motion,
+    nearest_frequency,
+    resting_frequencies,
+    resting_response,
+)
 from nmt_diagnose.prediction.rig_parts import RigParts, sliding
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import LocalTables
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig, ShakingTableSection
 
-if TYPE_CHECKING:
-    from nmt_diagnose.measurements.stepped_responses.stepped_responses import SteppedResponses
+
+@dataclass(frozen=True)
+class SteppedResponses(ResponseLines):
+    """Frequency responses at an amplitude that was held while the frequency was stepped.
+
+    Attributes:
+        name: unique name.
+        drive_point: measurement point of the exciter.
+        channels: response channels, in the order of the observables; the first is the one whose amplitude the model is
+            given.
+        reference: what the responses are divided by: ``force``, ``base`` (acceleration of a shaking table) or
+            ``voltage``.
+        held: what had the given amplitude: ``force``, ``base``, ``voltage``, or ``response`` (the first channel).
+        lines_hz: frequencies that became observables, Hz, ascending, shape (lines,).
+        levels: amplitude of what was held at each line, in its SI unit, shape (lines,).
+        measured: measured responses, shape (lines, channels): they say how large the motion was and on which branch.
+        noise: relative standard uncertainty of each line's magnitude and phase (rad), shape (lines,).
+        direction: +1 while the frequency rose, −1 while it fell, 0 where it is not known.
+        growth: ∂ ln R / ∂ ln s of the reference R over the first channel's amplitude s, by which an error of s counts,
+            shape (lines,); None = 1, that of a linear rig.
+        moved: ln of the amplitude about which an error of s counts to first order, over the measured one, shape
+            (lines,); None = 0.
+        scale: true over recorded amplitude of the first channel.
+        noise_degrees: degrees of freedom of the variance that the noise was estimated as; infinite where it is stated.
+        phase_known: whether the responses have a phase; else they are magnitudes, and no observable is a phase.
+        imposed: whether the motion of the drive point was a sine, and the force what it takes; else the force was one.
+    """
+
+    WORDS: ClassVar[str] = "frequency response at a held amplitude"
+    held_amplitude: ClassVar[bool] = True
+
+    name: str
+    drive_point: int
+    channels: tuple[MeasuredChannel, ...]
+    reference: str
+    held: str
+    lines_hz: FloatArray
+    levels: FloatArray
+    measured: ComplexArray
+    noise: FloatArray
+    direction: int = 0
+    growth: ComplexArray | None = None
+    moved: FloatArray | None = None
+    scale: float = 1.0
+    noise_degrees: float = math.inf
+    phase_known: bool = True
+    imposed: bool = False
+
+    @property
+    def amplitudes(self) -> FloatArray:
+        """Amplitude of the first channel at each line, in its unit; NaN where only the voltage is known, (lines,)."""
+        if self.held == "response":
+            return self.levels
+        if self.held == self.reference:
+            return np.asarray(np.abs(self.measured[:, 0]) * self.levels, dtype=np.float64)
+        return np.full(self.levels.shape, math.nan)
+
+    def predictor(self, rows: Rows, settings: PredictionSettings) -> SteppedSinePredictor:
+        """What predicts its rows."""
+        return SteppedSinePredictor(self, rows, settings)
+
+    @property
+    def given_channel(self) -> MeasuredChannel | None:
+        """Channel at whose amplitudes the model is solved."""
+        return self.channels[0]
+
+    @property
+    def over_force(self) -> bool:
+        """Whether its rows are responses over what held its amplitude."""
+        return self.held != "response"
+
+    @property
+    def scatter_key(self) -> object | None:
+        """Sweeps of the same channels over the same have one scatter, where that is estimated."""
+        return (self.channels, self.reference) if math.isfinite(self.noise_degrees) else None
+
+    @property
+    def sweep_key(self) -> object | None:
+        """Drive point, channels, reference, what was held and whether there are phases."""
+        return self.drive_point, frozenset(self.channels), self.reference, self.held, self.phase_known
+
+    @property
+    def level_name(self) -> str:
+        """Level and direction of the frequency."""
+        units = {"force": "N·m" if self.channels[0].turns else "N", "base": "m/s²", "voltage": "V"}
+        level = f"{significant(float(np.median(self.levels)), 3)} {units.get(self.held, self.channels[0].unit)}"
+        return level + {1: " ↑", -1: " ↓"}.get(self.direction, "")
+
+    @property
+    def imposed_scales(self) -> tuple[float, float] | None:
+        """Displacement (m) and force (N) of an imposed motion, the largest."""
+        if not self.imposed or self.reference != "force":
+            return None
+        order = MOTIONS[self.channels[0].quantity]
+        force = float(np.max(self.levels / np.abs(self.measured[:, 0])))
+        return float(np.max(self.levels / (2.0 * np.pi * self.lines_hz) ** order)), force
+
+    def traced(self, states: Sequence[Any] | None) -> SteppedResponses:
+        """The measurement with the noise of measured amplitudes propagated as a prediction's solutions say."""
+        return self if states is None else with_growth(self, states[0])
+
+    def motions(
+        self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
+    ) -> list[Motion]:
+        """Lines of largest and smallest motion, in the shape of the system linearised at rest at its resonance."""
+        lead = self.channels[0]
+        order = MOTIONS[lead.quantity]
+        motion = self.amplitudes / (2.0 * np.pi * self.lines_hz) ** order
+        if not np.any(np.isfinite(motion)):
+            return []
+        setup = Setup(self.drive_points, False, (*channels, lead), FourierBasis.up_to(1))
+        parts, resting, found = PartsCache(settings).parts(rig, setup), resting_frequencies(rig), list[Motion]()
+        for line in (int(np.nanargmax(motion)), int(np.nanargmin(motion))):
+            omega = 2.0 * np.pi * nearest_frequency(resting, float(self.lines_hz[line]))
+            q, y = resting_response(parts, omega)
+            scale = float(motion[line]) * omega**order / max(abs(y[-1]), 1e-300)
+            drive = float(self.levels[line]) if self.held == "voltage" else scale / parts.input_per_volt[0]
+            found.append((parts, omega, drive, y[: len(channels)] * scale, q * scale))
+        return found
+
+    def larger(self, share: float) -> SteppedResponses:
+        """With the motion of the first channel larger by a share."""
+        return replace(self, scale=self.scale * (1.0 + share))
+
+    def shifted(self, share: float) -> SteppedResponses:
+        """With its lines higher by a share."""
+        return replace(self, lines_hz=self.lines_hz * (1.0 + share))
+
+    def errors(self, rows: Rows, chain: MeasuringChain) -> dict[str, FloatArray]:
+        """Gain, phase and delay of each response and of the reference.
+
+        An error of the first response is one of the amplitude at which the others are compared, too.
+        """
+        found: dict[str, FloatArray] = {}
+        place, turned = (rows.level, rows.channel), rows.part == Part.PHASE
+        omega = 2.0 * np.pi * rows.frequency_hz
+        for channel, name in (*enumerate(c.name for c in self.channels), (None, f"the {self.reference}")):
+            tolerance = chain.of("" if channel is None else name)
+            late = math.hypot(tolerance.delay_s, chain.shared_delay_s)
+            errors = (gain_error(self, channel, error)[place] for error in (1.0, 1j))
+            of_gain, of_phase = (np.where(turned, e.imag, e.real) for e in errors)
+            found[f"gain of {name} in responses"] = tolerance.gain * of_gain
+            found[f"phase of {name} in responses"] = tolerance.phase * of_phase
+            found[f"delay of {name} in responses"] = late * omega * of_phase
+        return found
+
+    def measured_responses(self, level: IntArray, channel: IntArray) -> ComplexArray | None:
+        """Measured responses of rows."""
+        return np.asarray(self.measured[level, channel])
+
+    def with_scatter(self, before: float, after: float, degrees: float) -> SteppedResponses:
+        """The measurement whose scatter, of some standard deviation before, has another after."""
+        noise = np.sqrt(np.maximum(self.noise**2 - before**2, 0.0) + after**2)
+        return replace(self, noise=noise, noise_degrees=degrees)
+
+    def held_levels(self, observations: Observations, number: int) -> HeldLevels | None:
+        """Lines about the resonance at several forces as levels."""
+        return levels_of_lines(self, observations, number)
+
+
+# -- predictor -------------------------------------------------------------------------------------------------------
+
 
 HARMONICS = 5
 
@@ -342,3 +491,69 @@ def _same_tables(a: LocalTables, b: LocalTables) -> bool:
         return True
     pairs = zip((*a.elements, a.values), (*b.elements, b.values), strict=True)
     return all(x is y or (x.shape == y.shape and bool((x == y).all())) for x, y in pairs)
+
+
+# -- levels ----------------------------------------------------------------------------------------------------------
+
+
+_LINES = 6
+"""Lines of a response at one force: half of the motion of its peak and more, evenly over its logarithm."""
+_BAND = 0.15
+"""Of a mode, relative: a peak that moves further is not that of one level."""
+
+
+def levels_of_lines(first: SteppedResponses, observations: Observations, number: int) -> HeldLevels | None:
+    """Lines of all responses to a held force or base over the same channels as levels; None but for the first test."""
+    same = [other for other, test in enumerate(observations.tests) if _alike(first, test)]
+    same = [other for other in same if np.any(observations.rows.test == other)]
+    if not same or same[0] != number or first.held != first.reference or first.reference not in ("force", "base"):
+        return None
+    tests = [_in_order(first, observations.tests[other]) for other in same]
+    if any(channel.quantity not in MOTIONS for channel in first.channels):
+        return None
+    forces = {round(float(np.log(np.max(test.levels))), 2) for test in tests}
+    powers = np.array([MOTIONS[channel.quantity] for channel in first.channels])
+    size = [np.abs(test.measured[:, 0]) * test.levels / (2.0 * np.pi * test.lines_hz) ** powers[0] for test in tests]
+    if len(forces) < 2:  # what does not change with the amplitude is no law
+        return None
+    loudest = max(range(len(tests)), key=lambda k: float(size[k].max()))
+    peak = tests[loudest].lines_hz[int(np.argmax(size[loudest]))]
+    parts: list[tuple[FloatArray, ...]] = []
+    for test, moved in zip(tests, size, strict=True):
+        near = np.flatnonzero(np.abs(np.log(test.lines_hz / peak)) < _BAND)
+        near = near[moved[near] >= 0.5 * moved[near].max()] if near.size else near
+        order = near[np.argsort(moved[near], kind="stable")]
+        chosen = order[np.unique(np.linspace(0, order.size - 1, min(order.size, _LINES)).round().astype(int))]
+        if order.size:
+            force = test.levels[chosen]
+            amplitude = test.measured[chosen] * force[:, np.newaxis]
+            parts.append((test.lines_hz[chosen], force, amplitude, test.noise[chosen], moved[chosen]))
+    lines, force, amplitude, noise, moved = (np.concatenate(part) for part in zip(*parts, strict=True))
+    omega = 2.0 * np.pi * lines
+    motion = np.zeros((*amplitude.shape, 2), complex)
+    motion[:, :, 1] = first.scale * amplitude / (1j * omega[:, np.newaxis]) ** powers
+    driven = np.zeros((1, lines.size, 2), complex)
+    driven[0, :, 1] = force
+    chain = observations.chains[number] if observations.chains else None
+    more = f" and {len(tests) - 1} more" if len(tests) > 1 else ""
+    found = HeldLevels(
+        f"{first.name}{more}", first.drive_points, tuple(range(lines.size)), omega, driven, np.zeros((1, lines.size)),
+        tuple(first.channels), motion, np.abs(motion) * noise[:, np.newaxis, np.newaxis], chain,
+        over_base=first.reference == "base", alone=True,
+    )  # fmt: skip
+    return found.take([int(k) for k in np.argsort(moved, kind="stable")])
+
+
+def _alike(first: SteppedResponses, test: Measurement) -> bool:
+    """Whether a test is another response at the same drive and channels as the first, with phases."""
+    if test.lines is None or test.lines.sweep_key != first.sweep_key:
+        return False
+    other = cast(SteppedResponses, test)
+    return other.phase_known and not first.imposed and not other.imposed
+
+
+def _in_order(first: SteppedResponses, test: Measurement) -> SteppedResponses:
+    """The test with the channels of the first, in their order."""
+    other = cast(SteppedResponses, test)
+    order = [other.channels.index(channel) for channel in first.channels]
+    return replace(other, channels=first.channels, measured=other.measured[:, order])

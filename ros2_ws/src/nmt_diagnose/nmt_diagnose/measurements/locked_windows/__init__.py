@@ -1,1 +1,0 @@
-"""Locked windows of phase resonance."""

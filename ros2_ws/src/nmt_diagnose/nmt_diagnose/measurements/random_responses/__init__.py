@@ -1,1 +1,0 @@
-"""Frequency responses of random tests."""

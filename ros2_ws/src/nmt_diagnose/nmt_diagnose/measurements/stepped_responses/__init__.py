@@ -1,1 +1,0 @@
-"""Frequency responses at held amplitudes."""

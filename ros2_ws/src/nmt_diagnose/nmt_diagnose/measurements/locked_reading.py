@@ -31,6 +31,8 @@ from nmt_diagnose.observations.noise.scatter import moderated
 from nmt_diagnose.observations.observables import Part, Place
 from nmt_diagnose.observations.observation_settings import Floors, ObservationSettings
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_extract.judgement.uncertainty import jackknife_variance
+from nmt_extract.modal.evaluated_window import resonance_std
 from nmt_signals.channel_faults.clipping import clipping_level
 from nmt_signals.channel_faults.converter_faults import converter_step, repeated_share
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ
@@ -41,14 +43,6 @@ _RESPONSES = (Quantity.DISPLACEMENT, Quantity.ACCELERATION, Quantity.VELOCITY)
 def wrapped(angle: FloatArray) -> FloatArray:
     """Angles in [−π, π)."""
     result: FloatArray = (np.asarray(angle) + math.pi) % (2.0 * math.pi) - math.pi
-    return result
-
-
-def _jackknife(without: FloatArray) -> FloatArray:
-    """Variance from delete-one values along the first axis."""
-    count = without.shape[0]
-    deviations = without - without.mean(axis=0)
-    result: FloatArray = (count - 1) / count * (deviations * deviations).sum(axis=0)
     return result
 
 
@@ -189,7 +183,7 @@ def _add_rows_of_levels(
     index_of = {channel.name: number for number, channel in enumerate(run.channels)}
     for index, (window, level) in enumerate(zip(run.windows, run.levels, strict=True)):
         place = run.place(index, level.frequency_hz)
-        std = slopes[index] * level.phase_error_std
+        std = resonance_std(window.frequency_std / window.frequency_hz, slopes[index], level.phase_error_std)
         floor = floors.window(Part.LOG_FREQUENCY)
         table.add(Part.LOG_FREQUENCY, math.log(2.0 * math.pi * level.frequency_hz), std, floor, place)
         if window.segment.kind is TestKind.PHASE_RESONANCE or window.segment.kind is TestKind.UNKNOWN:
@@ -232,7 +226,7 @@ def _level(window: LockedWindow, drive_point: int, wanted: Quantity | None) -> L
         return f"{where}: force or drive-point response is zero; it is left out."
     value = float(wrapped(error(window.amplitudes)))
     without = wrapped(error(window.without) - value)
-    variance = float(_jackknife(without))
+    variance = float(jackknife_variance(without))
     drift = float(_drift(wrapped(error(window.single) - value)))
     if abs(value) > THRESHOLDS.reading.furthest_phase_rad:
         turned = abs(value) > math.pi - THRESHOLDS.reading.furthest_phase_rad
@@ -295,7 +289,7 @@ def _cells(level: int, channel: MeasuredChannel, window: LockedWindow, row: int,
 
     def add(harmonic: int, part: Part, value: float, varied: FloatArray, parts: FloatArray) -> None:
         # In the unit of the channel, so that noise of the same kind compares.
-        variance, drift = float(_jackknife(varied)) * size**2, float(_drift(parts)) * size
+        variance, drift = float(jackknife_variance(varied)) * size**2, float(_drift(parts)) * size
         cells.append(Cell(level, channel.name, harmonic, part, value, size, variance, drift, degrees_of_freedom))
 
     turned = over_window[1] / size

@@ -20,15 +20,11 @@ from nmt_diagnose.observations.channels.drive_hold import hold_factor, image_res
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.settling import Settling, settling
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_extract.judgement.uncertainty import sub_window_count
+from nmt_extract.modal.evaluated_window import EvaluatedWindow
 from nmt_record.windows.segments import Segment
 from nmt_signals.channel_faults.mains_lines import MAINS_HZ, Line, mains_line
 from nmt_signals.harmonics import (
-    Moments,
     resolvable_harmonics,
-    segment_moments,
-    solve_moments,
-    whole_period_bounds,
 )
 from nmt_signals.sine_fit import fit_frequency
 
@@ -49,7 +45,7 @@ class LockedWindow:
             is observed, as far as harmonics of the drive are known.
         without: the same without one sub-window, shape (K, channels, H + 1).
         single: the same of each sub-window, shape (K, channels, H + 1).
-        frequency_hz: mean excitation frequency, Hz.
+        frequency_hz, frequency_std: mean excitation frequency and its standard uncertainty, Hz.
         drive: drive voltage of the first exciter, V peak; NaN where it is not known.
         terms: orders 1, 2, … of the drive of each exciter over that.
         forces: channel of each exciter's force.
@@ -69,6 +65,7 @@ class LockedWindow:
     without: ComplexArray
     single: ComplexArray
     frequency_hz: float
+    frequency_std: float
     drive: float
     terms: Terms
     forces: tuple[str, ...]
@@ -130,33 +127,33 @@ def analyse_window(
         )
     used = int(np.searchsorted(cycles, cycles[0] + periods - 1e-9))
     cycles, data = cycles[:used], data[:, :used]
-    count = sub_window_count(periods, settings.sub_windows)
     harmonics = resolvable_harmonics(settings.harmonics, used / periods)
     if harmonics < 1:
         raise BenchError(f"{where}: {used / periods:.3g} samples a period resolve no harmonic; the window is left out.")
     # Higher orders than those observed are fitted too, so that they do not leak into the observed ones.
     fitted = resolvable_harmonics(2 * settings.harmonics + 1, used / periods)
-    bounds = whole_period_bounds(cycles, periods, count)
-    moments = segment_moments(cycles, data, fitted, bounds)
+    advance = float(cycles[-1] - cycles[0]) + step
+
+    def evaluated(samples: FloatArray) -> EvaluatedWindow:
+        return EvaluatedWindow.of(cycles, advance, samples, stretch.sample_rate, fitted, settings.sub_windows)
+
+    found = evaluated(data)
     transient = Settling(np.zeros(len(usable)))
     # Where the loop moves voltages the responses follow them, and the means belong together.
     moved = known and (len(forces) > 1 or not names_voltage)
-    parts = _parts(moments)
     if not settled and moved:
         # What moves would leak into the harmonics and the lines of the mains.
-        data = _without_drift(data, cycles, parts[2][..., 1])
-        cleared = _parts(segment_moments(cycles, data, fitted, bounds))
-        for part, before in zip(cleared, parts, strict=True):
-            part[..., 1] = before[..., 1]
-        parts = cleared
+        data = _without_drift(data, cycles, found.parts[..., 1])
+        before, found = found, evaluated(data)
+        found.sets[..., 1], found.parts[..., 1] = before.sets[..., 1], before.parts[..., 1]
     elif not settled:
-        transient = _settling(parts[2][..., 1], usable)
+        transient = _settling(found.parts[..., 1], usable)
         if transient.sizes.any():
             # It would leak into the harmonics, too.
-            amplitudes = parts[0][:, 1] * np.exp(-transient.leans)
+            amplitudes = found.sets[0, :, 1] * np.exp(-transient.leans)
             data = data - (np.outer(amplitudes, np.exp(2j * np.pi * cycles)) * transient.excess(used)).real
-            parts = _parts(segment_moments(cycles, data, fitted, bounds))
-    over_window, without, single = parts
+            found = evaluated(data)
+    over_window, without, single = found.sets[0], found.sets[1:], found.parts
     rows = tuple(channel.name for channel in usable)
     voltages = [rows.index(name) for name in view.voltages(usable) if name in rows]
     # Voltage channels that hold nothing are no reference, and no drive if one of several exciters has none.
@@ -171,7 +168,7 @@ def analyse_window(
         referenced = True
         if known:
             # The oscillator's own phase is exact: the voltage takes its place only where it says something else.
-            scatter = float(np.std(np.angle(single[:, reference, 1]))) / math.sqrt(count)
+            scatter = float(np.std(np.angle(single[:, reference, 1]))) / math.sqrt(found.count)
             if abs(np.angle(over_window[reference, 1])) < max(_EXACT, SURE_DEVIATIONS * scatter):
                 reference = None
     else:
@@ -183,10 +180,11 @@ def analyse_window(
     certain = 1 if known else harmonics
     terms = drive_terms(over_window, single, voltages, certain) if voltages else PURE_TONE
     frequency = float(cycles[-1] - cycles[0]) / (used - 1) * stretch.sample_rate
+    spread = found.frequency_std(None if known else found.parts[:, rows.index(forces[0]), 1])
     lines = {hz: mains_line(cycles, data, stretch.sample_rate, fitted, hz) for hz in MAINS_HZ}
     mains = {hz: line for hz, line in lines.items() if line is not None}
     return LockedWindow(
-        segment, stretch, rows, over_window, without, single, frequency, drive, terms, forces,
+        segment, stretch, rows, over_window, without, single, frequency, spread, drive, terms, forces,
         tuple(voltages) if moved else (), referenced, mains,
         commanded, recorded, turned, tuple((transient.doubt * transient.leans).tolist()),
     )  # fmt: skip
@@ -225,11 +223,6 @@ def drive_terms(over_window: ComplexArray, single: ComplexArray, rows: Sequence[
     terms = np.where(stands_out | (np.arange(1, over_window.shape[1]) <= certain), terms, 0.0)
     terms[0, 0] = 1.0
     return tuple(tuple(complex(term) for term in np.trim_zeros(row, "b")) or (0j,) for row in terms)
-
-
-def _parts(moments: Moments) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Harmonics over the whole window, without each sub-window, and of each sub-window."""
-    return solve_moments(moments.total())[0], solve_moments(moments.leave_one_out()), solve_moments(moments)
 
 
 def _without_drift(data: FloatArray, cycles: FloatArray, fundamentals: ComplexArray) -> FloatArray:

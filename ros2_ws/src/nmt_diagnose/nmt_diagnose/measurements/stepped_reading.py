@@ -28,6 +28,7 @@ from nmt_diagnose.observations.observables import Part, Place
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.observations.tables_together import TablesTogether
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_extract.judgement.uncertainty import jackknife_variance
 from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_record.exchange.sidecar.import_sidecar import TableKind
 from nmt_record.exchange.unit_table import REFERENCE_UNITS, quantity_of_unit
@@ -175,10 +176,7 @@ def _responses(windows: Sequence[LockedWindow], channel: str, force: str) -> tup
         row, below = window.row(channel), window.row(force)
         responses.append(window.amplitudes[row, 1] / window.amplitudes[below, 1])
         without = np.log(window.without[:, row, 1] / window.without[:, below, 1] / responses[-1])
-        count = without.size
-        spread = without - without.mean()
-        variance = (count - 1) / count * float(np.sum(np.abs(spread) ** 2))
-        deviations.append(math.sqrt(0.5 * variance))
+        deviations.append(math.sqrt(0.5 * float(jackknife_variance(without))))
     return np.array(responses), np.array(deviations)
 
 

@@ -31,7 +31,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
-from nmt_extract.judgement.uncertainty import sub_window_count
+from nmt_extract.judgement.uncertainty import jackknife_variance, sub_window_count
 from nmt_signals.harmonics import (
     harmonic_amplitudes,
     resolvable_harmonics,
@@ -353,8 +353,7 @@ def stepped_point(signals: Signals, periods: int, frequency_hz: float, harmonics
         moments = segment_moments(cycles, data, orders, whole_period_bounds(cycles, periods, count))
         parts = solve_moments(moments.leave_one_out())[:, :, 1]
         values = parts[:, rows] / parts[:, [force]]
-        deviation = values - values.mean(axis=0)
-        std = np.sqrt((count - 1) / count * np.sum(np.abs(deviation) ** 2, axis=0) / 2.0)
+        std = np.sqrt(jackknife_variance(values) / 2.0)
     return SteppedPoint(
         frequency_hz,
         float(abs(whole[force])),

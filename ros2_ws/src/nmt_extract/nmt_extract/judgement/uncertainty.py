@@ -11,7 +11,9 @@ from __future__ import annotations
 
 import math
 
-from nmt_core.numerics.arrays import FloatArray
+import numpy as np
+
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 
 
 def sub_window_count(periods: int, wanted: int = 10) -> int:
@@ -33,6 +35,13 @@ def sub_window_count(periods: int, wanted: int = 10) -> int:
     return count if count >= 3 else 0
 
 
+def jackknife_variance(values: ComplexArray | FloatArray) -> FloatArray:
+    """Variance from delete-one values along the first axis, K at least 2; of complex ones of both parts together."""
+    count = values.shape[0]
+    deviations = values - values.mean(axis=0)
+    return np.asarray((count - 1) / count * (np.abs(deviations) ** 2).sum(axis=0), dtype=np.float64)
+
+
 def jackknife(values: FloatArray, whole: float) -> float:
     """Standard uncertainty from delete-one values.
 
@@ -47,12 +56,8 @@ def jackknife(values: FloatArray, whole: float) -> float:
     Returns:
         √((K − 1)/K Σ (x_k − x̄)² + (K − 1)² (x̄ − x)²).
     """
-    count = values.shape[0]
-    mean = float(values.mean())
-    deviations = values - mean
-    variance = (count - 1) / count * float((deviations * deviations).sum())
-    bias = (count - 1) * (mean - whole)
-    return math.sqrt(variance + bias * bias)
+    bias = (values.shape[0] - 1) * (float(values.mean()) - whole)
+    return math.sqrt(float(jackknife_variance(values)) + bias * bias)
 
 
 def slope_uncertainty(time: FloatArray, values: FloatArray) -> float:

@@ -21,6 +21,7 @@ from nmt_extract.judgement.uncertainty import jackknife
 from nmt_extract.judgement.window_judge import Remark
 from nmt_extract.modal.channel_findings import ChannelFindings
 from nmt_extract.modal.channels import WindowRows, derived, row_of
+from nmt_extract.modal.evaluated_window import resonance_std
 from nmt_extract.modal.floquet_exponents import floquet_exponents
 from nmt_extract.modal.hysteresis import HysteresisLayout, hysteresis_loop
 from nmt_extract.modal.mode_identity import mode_sentence
@@ -123,9 +124,8 @@ class WindowEvaluation:
         fields["omega_rad_s"] = float(omega[0])
         fields["frequency_hz"] = self.order * float(motion.frequency_hz[0])
         off_resonance = 0.0 if self.on_curve else math.hypot(fields["phase_error"], fields["phase_error_std"])
-        fields["omega_rad_s_std"] = math.hypot(
-            2.0 * math.pi * self.order * motion.frequency_std, fields["damping_ratio"] * omega[0] * off_resonance
-        )
+        excitation = 2.0 * math.pi * self.order * motion.frequency_std
+        fields["omega_rad_s_std"] = resonance_std(excitation, fields["damping_ratio"] * float(omega[0]), off_resonance)
         remarks = self._remarks(fields)
         refusals = [remark.sentence for remark in remarks if remark.rejects]
         if refusals:

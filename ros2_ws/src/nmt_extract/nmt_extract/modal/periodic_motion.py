@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.extraction_settings import ExtractionSettings
 from nmt_extract.judgement import channel_noise, signal_faults, window_judge
-from nmt_extract.judgement.uncertainty import jackknife, slope_uncertainty, sub_window_count
 from nmt_extract.modal.channels import WindowRows
+from nmt_extract.modal.evaluated_window import EvaluatedWindow
 from nmt_extract.modal.window import Window
-from nmt_signals.harmonics import Moments, resolvable_harmonics, segment_moments, solve_moments, whole_period_bounds
+from nmt_signals.harmonics import Moments, resolvable_harmonics
 from nmt_signals.sine_fit import fit_frequency
 from nmt_signals.spectral_lines import strongest_line
 
@@ -162,43 +161,14 @@ class PeriodicMotion:
             raise BenchError(
                 f"{self.samples_per_period:.2g} samples a period do not resolve the fundamental; sample faster."
             )
-        self.parts = sub_window_count(self.periods, self.settings.sub_windows)
-        bounds = whole_period_bounds(self.cycles, self.periods, max(1, self.parts))
-        moments = segment_moments(self.cycles, window.data, self.harmonics, bounds)
-        total = moments.total()
-        sets = total
-        if self.parts:
-            without = moments.leave_one_out()
-            sets = Moments(
-                np.concatenate((total.basis, without.basis)),
-                np.concatenate((total.projections, without.projections)),
-            )
-        self.amplitudes = solve_moments(sets)
-        self.part_amplitudes = solve_moments(moments)
-        self.part_moments, self.part_bounds = moments, bounds
-        self._find_frequency(bounds)
-
-    def _find_frequency(self, bounds: IntArray) -> None:
-        rate = self.window.sample_rate
-        frequency = self.advance / (self.window.samples / rate)
-        self.frequency_hz = np.full(1 + self.parts, frequency)
-        self.frequency_std = math.nan
-        if not self.parts:
-            return
-        edges = np.append(self.cycles[bounds[:-1]], self.cycles[0] + self.advance)
-        if self.fitted:
-            fundamental = self.part_amplitudes[:, self.rows.force, self.orders[1]]
-            middle: FloatArray = np.asarray(0.5 * (bounds[1:] + bounds[:-1]) / rate, dtype=np.float64)
-            # About their mean phase, so that no jump of 2π comes between.
-            phases: FloatArray = np.asarray(
-                np.angle(fundamental * np.conj(fundamental.sum())) / (2.0 * np.pi), dtype=np.float64
-            )
-            self.frequency_std = slope_uncertainty(middle, phases) / self.orders[1]
-        else:
-            advance = self.advance - np.diff(edges)
-            seconds = (self.window.samples - np.diff(bounds)) / rate
-            self.frequency_hz[1:] = advance / seconds
-            self.frequency_std = jackknife(self.frequency_hz[1:], frequency)
+        found = EvaluatedWindow.of(
+            self.cycles, self.advance, window.data, window.sample_rate, self.harmonics, self.settings.sub_windows
+        )
+        self.parts, self.part_bounds, self.part_moments = found.count, found.bounds, found.moments
+        self.amplitudes, self.part_amplitudes = found.sets, found.parts
+        self.frequency_hz = found.frequencies_hz
+        fitted = found.parts[:, self.rows.force, self.orders[1]] if self.fitted else None
+        self.frequency_std = found.frequency_std(fitted) / (self.orders[1] if self.fitted else 1)
 
     def divide(self, row: int, gain: float) -> None:
         """Divide all that is known of a channel by a real gain, in place but for the samples of the window."""

@@ -7,8 +7,10 @@ from itertools import combinations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import nnls
+from scipy.signal import lfilter
 
-from nmt_diagnose.choose.choice import ALPHA, Choice
+from nmt_diagnose.choose.choice import ALPHA, Choice, Chosen
 from nmt_diagnose.choose.space import Columns, Space
 
 Array = NDArray[np.float64]
@@ -162,6 +164,85 @@ def test_equal_columns_share_their_probability_and_stand_for_each_other() -> Non
     assert [cause.term for cause in chosen.causes] == ["a", "b"]
     assert chosen.instead == (("", "c"),)
     assert chosen.probability(("", "a")) == pytest.approx(0.5, abs=0.02)
+
+
+def test_coefficients_that_are_not_negative_are_those_of_nonnegative_least_squares() -> None:
+    """Of three that lean on each other the best fit of either sign has a negative one."""
+    rng = np.random.default_rng(19)
+    common = rng.standard_normal(ROWS)
+    values = np.column_stack([common + 0.3 * rng.standard_normal(ROWS) for _ in range(3)])
+    left = values @ np.array([1.0, 0.8, -0.7]) + 0.2 * rng.standard_normal(ROWS)
+    groups = np.repeat(np.arange(float(GROUPS)), ROWS // GROUPS)
+    space = Space(left, np.zeros((ROWS, 0)), groups, 80.0, 0.02)
+    assert np.linalg.lstsq(values, left, rcond=None)[0].min() < -0.1
+    chosen = Choice(space).grow([Columns("", "grid", values, signed=np.zeros(3, bool))], 1)
+    assert chosen.judged[0].values / np.sqrt(np.mean(values**2, axis=0)) == pytest.approx(nnls(values, left)[0])
+    # A coefficient at its limit costs nothing.
+    two = Choice(space).grow([Columns("", "grid", values[:, :2], signed=np.zeros(2, bool))], 1)
+    assert chosen.score == pytest.approx(two.score, abs=0.5)
+    assert Choice(space).gain([Columns("", "grid", -values, signed=np.zeros(3, bool))]) == pytest.approx([0.0])
+
+
+class Knee(Columns):
+    """Saturation at a number that is moved; it may follow a measured channel."""
+
+    def __init__(self, x: Array, at: float, channel: Array | None = None) -> None:
+        values = np.clip(x, -at, at)[:, None]
+        super().__init__("", "knee", values if channel is None else np.hstack([values, values * channel[:, None]]))
+        object.__setattr__(self, "parts", (x, at, channel))
+
+    @property
+    def reaches(self) -> list[tuple[float, float]]:
+        return [(-0.5, 0.5)]
+
+    def moved(self, number: int, log_factor: float) -> Knee:
+        x, at, channel = self.parts  # type: ignore[attr-defined]
+        return Knee(x, at * float(np.exp(log_factor)), channel)
+
+    def following(self) -> list[Knee]:
+        x, at, channel = self.parts  # type: ignore[attr-defined]
+        return [Knee(x, at, CHANNEL)] if channel is None else []
+
+
+CHANNEL = np.sin(np.arange(ROWS))
+
+
+@pytest.mark.parametrize("follows", [0.0, 0.4])
+def test_numbers_in_columns_move_to_where_the_fit_is_best_and_channels_are_followed_where_they_tell(
+    follows: float,
+) -> None:
+    rng = np.random.default_rng(23)
+    x = 2.0 * rng.standard_normal(ROWS)
+    left = np.clip(x, -0.83, 0.83) * (1.0 + follows * CHANNEL) + 0.02 * rng.standard_normal(ROWS)
+    library = [Knee(x, 0.6), Knee(x, 1.2), named(x, "line")]
+    (cause,) = Choice(space_of(left, rng)).grow(library, 3).causes
+    assert isinstance(cause, Knee)
+    _, at, channel = cause.parts  # type: ignore[attr-defined]
+    assert at == pytest.approx(0.83, rel=0.02)
+    assert (channel is not None) == bool(follows)
+
+
+def test_rows_are_counted_by_what_a_fit_leaves() -> None:
+    """A first-order process with a correlation of 0.8 has 1/9 of its rows; groups at the ends are in every fit."""
+    rng = np.random.default_rng(29)
+    noise = rng.standard_normal(20000)
+    values = lfilter([1.0], [1.0, -0.8], noise)
+    groups = np.repeat(np.arange(5.0), 4000)
+    space = Space(values, np.zeros((20000, 0)), groups, np.nan, 1.0, series=[np.arange(20000)])
+    assert space.independent_by(values) == pytest.approx(20000 / 9.0, rel=0.1)
+    step = np.where(groups == 4.0, 1.0, 0.0)[:, None]
+    left = noise + 10.0 * step[:, 0]
+    inner = Space(left, np.zeros((20000, 0)), groups, 20000.0, 1.0, ends=(0.0, 4.0))
+    every = Space(left, np.zeros((20000, 0)), groups, 20000.0, 1.0)
+    chosen = [Choice(space).grow([Columns("", "step", step)], 1) for space in (inner, every)]
+    # No other group tells the size of a step that the last one alone has.
+    assert every_unseen(chosen[1]) > 3.0 > every_unseen(chosen[0])
+
+
+def every_unseen(chosen: Chosen) -> float:
+    """Criterion of the set that has a cause over the rows, without what the cause costs."""
+    held = next(item for item in chosen.judged if item.numbers)
+    return float(held.score - 2.0 * np.log(1.0 / ALPHA) - np.log(20000.0)) / 20000.0
 
 
 def test_columns_are_asked_by_place_and_term() -> None:

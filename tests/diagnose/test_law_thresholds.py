@@ -17,7 +17,6 @@ from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.nuisance import _of_other_modes
-from nmt_diagnose.law.record_search import in_shape
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.search.law_starts import effects_of_law, worth_a_start
 
@@ -132,7 +131,6 @@ EDGES = {
     "least_motion_share": lambda: moves_enough(np.array([1.0, 0.031, 0.029])).tolist() == [True, True, False],
     "largest_slip_share": lambda: abs(largest_slip() - 0.7) < 1e-9,
     "alike_score_ratio": lambda: [fewest([law(1.0, 3), law(s, 1)]).elements for s in (1.11, 1.13)] == [1, 3],
-    "shape_score_ratio": lambda: [in_shape([law(1.0, 3), law(s, 1)], "aa").elements for s in (1.009, 1.011)] == [1, 3],
     "place_score_ratio": lambda: [reading.nearly_as_well(s, 1.0) for s in (1.29, 1.31)] == [True, False],
     "told_score_ratio": lambda: [refused(score, 0.0) for score in (0.49, 0.51)] == [False, True],
     "pull_sigmas": lambda: [refused(0.1, pull) for pull in (2.9, 3.1)] == [False, True],

@@ -195,7 +195,7 @@ def test_laws_that_one_narrow_sine_does_not_tell_apart_are_named_with_a_motion_t
     (law,) = reading.laws
     assert "hardening spring" in (law.family, *law.other_families)
     assert law.other_families
-    assert law.parted_by.startswith("twice the displacement")
+    assert law.parted_by.startswith(("twice the displacement", "half of the displacement"))
     assert f"record a motion of {law.parted_by}. Check first that the specimen" in " ".join(
         law_sentences(reading, True)
     )
@@ -256,6 +256,33 @@ def test_a_strength_that_follows_a_channel_is_told_with_it(tmp_path: Path, case:
     ((_, low, high),) = law.valid_between
     (middle,) = law.at_middle
     assert middle.coefficient == pytest.approx(constant + slope * 0.5 * (low + high), rel=0.05)
+
+
+def test_a_stiffness_that_follows_a_channel_is_told_where_its_mean_is_an_error_of_the_model(tmp_path: Path) -> None:
+    """Alone the spring takes less of the force than what the model's own stiffness is uncertain by."""
+    values = 0.6 * np.sin(0.8 * TIME)
+    force = 2e-3 * A + 0.05 * V + (12.0 + 3.0 * values) * X
+    force += 1e-3 * np.random.default_rng(4).standard_normal(TIME.size)
+    rig = rig_of(tmp_path, TEXT)
+    columns = {"displacement 1": X, "force 1": force, "current 1": values}
+    bag = bag_of(tmp_path, RATE, columns, record(TIME.size, held="response"), TEXT)
+    reading = law_of(rig, read_observations([bag], rig))
+    assert reading is not None
+    assert reading.is_stated
+    (law,) = reading.laws
+    assert law.family == "linear spring that follows the current"
+    assert law.terms[-1].coefficient == pytest.approx(3.0, rel=0.02)
+
+
+def test_an_exponent_is_fitted_and_a_whole_one_stays(tmp_path: Path) -> None:
+    for exponent, strength in ((1.7, 5.0), (2.0, 8.0)):
+        (folder := tmp_path / f"{exponent}").mkdir()
+        reading = reading_of(folder, strength * np.sign(V) * np.abs(V) ** exponent)
+        assert reading.is_stated
+        ((term,),) = (law.terms for law in reading.laws)
+        assert term.kind == "speed"
+        assert term.parameters[0] == pytest.approx(exponent, rel=0.0 if exponent == 2.0 else 0.01)
+        assert term.coefficient == pytest.approx(strength, rel=0.03)
 
 
 def test_a_channel_that_nothing_follows_is_not_told(tmp_path: Path) -> None:

@@ -1,8 +1,6 @@
 """Coefficients of a law: least squares with errors of chain and model under their priors, most of them not negative.
 
-Errors and coefficients of either sign are projected out; what is left is non-negative least squares (Lawson and
-Hanson, Solving Least Squares Problems, 1974), which has one optimum. Levels are left out one at a time by taking
-their part off the normal equations.
+Levels are left out one at a time by taking their part off the normal equations.
 """
 
 from __future__ import annotations
@@ -11,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtrs
-from scipy.optimize import nnls
+from scipy.linalg.lapack import dtrtrs
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_diagnose.choose.bounded import constrained
 
 _JITTER = 1e-12
 
@@ -79,7 +77,7 @@ class ConvexFit:
         half = dtrtrs(self.lower, across.T, lower=1)[0]
         right = share * (flat.T @ self.target.ravel() - half.T @ self.half)
         # At the optimum a coefficient takes off its product with its right-hand side, 0 at its bound.
-        theta = _constrained(np.multiply.outer(share, share) * (gram - half.T @ half), right, 0, signed)
+        theta = constrained(np.multiply.outer(share, share) * (gram - half.T @ half), right, 0, signed)
         return float(self.tt.sum() - self.half @ self.half - theta @ right)
 
     def solve(self, columns: FloatArray, signed: BoolArray) -> Solution:
@@ -87,7 +85,7 @@ class ConvexFit:
         m = self.nn.shape[1]
         gram, right, norms = self._normal(columns)
         all_normal, all_right = gram.sum(axis=0), right.sum(axis=0)
-        theta = _constrained(all_normal, all_right, m, signed)
+        theta = constrained(all_normal, all_right, m, signed)
         squares = self._squares(theta, gram, right)
         found = np.nan
         if self.left_out:
@@ -110,7 +108,7 @@ class ConvexFit:
         """Errors (m,) and coefficients (k,) of a fit to all levels but some."""
         gram, right, norms = self._normal(columns)
         others = np.delete(np.arange(len(self.tt)), out)
-        theta = _constrained(gram[others].sum(axis=0), right[others].sum(axis=0), self.nn.shape[1], signed)
+        theta = constrained(gram[others].sum(axis=0), right[others].sum(axis=0), self.nn.shape[1], signed)
         m = self.nn.shape[1]
         return theta[:m], np.asarray(theta[m:] / np.where(norms > 0.0, norms, 1.0))
 
@@ -134,7 +132,7 @@ class ConvexFit:
         all_normal, all_right = gram.sum(axis=0), right.sum(axis=0)
         total, count = 0.0, 0
         for out in groups:
-            other = _constrained(all_normal - gram[out].sum(axis=0), all_right - right[out].sum(axis=0), m, signed)
+            other = constrained(all_normal - gram[out].sum(axis=0), all_right - right[out].sum(axis=0), m, signed)
             total += float(self._squares(other, gram, right)[out].sum())
             count += int(self.counts[out].sum())
         return float(np.sqrt(max(total, 0.0) / count))
@@ -142,41 +140,3 @@ class ConvexFit:
     def _squares(self, theta: FloatArray, gram: FloatArray, right: FloatArray) -> FloatArray:
         values = self.tt - 2.0 * right @ theta + np.einsum("i,lij,j->l", theta, gram, theta)
         return np.asarray(np.maximum(values, 0.0))
-
-
-def _constrained(gram: FloatArray, right: FloatArray, m: int, signed: BoolArray) -> FloatArray:
-    """Least squares by normal equations: unit priors on the first m unknowns, the others free or not negative."""
-    normal = gram.copy()
-    normal.flat[:: right.size + 1] += np.where(np.arange(right.size) < m, 1.0, _JITTER)
-    free = np.concatenate([np.ones(m, bool), signed])
-    if not free.any():
-        return _not_negative(normal, right)
-    a, b = np.flatnonzero(free), np.flatnonzero(~free)
-    theta = np.zeros(right.size)
-    # LAPACK itself: this runs thousands of times a reading, and checks of its arguments take as long as it does.
-    factor, fault = dpotrf(normal[a[:, np.newaxis], a])
-    if fault:
-        raise np.linalg.LinAlgError("the columns of either sign are no more than others of them")
-    if b.size:
-        beside = normal[a[:, np.newaxis], b]
-        by_free = dpotrs(factor, np.column_stack([beside, right[a]]))[0]
-        schur = normal[b[:, np.newaxis], b] - beside.T @ by_free[:, :-1]
-        theta[b] = _not_negative(schur, right[b] - beside.T @ by_free[:, -1])
-        theta[a] = by_free[:, -1] - by_free[:, :-1] @ theta[b]
-    else:
-        theta[a] = dpotrs(factor, right[a])[0]
-    return theta
-
-
-def _not_negative(gram: FloatArray, right: FloatArray) -> FloatArray:
-    """Least squares by normal equations whose unknowns are not negative."""
-    scale = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
-    gram, right = gram / np.multiply.outer(scale, scale), right / scale
-    gram.flat[:: right.size + 1] += _JITTER * 1e2
-    upper, fault = dpotrf(gram)
-    if fault:
-        upper = cholesky(gram + 1e-6 * np.eye(right.size))
-    found = dpotrs(upper, right)[0]
-    if found.min() < 0.0:
-        found = nnls(upper, dtrtrs(upper, right, trans=1)[0])[0]
-    return np.asarray(found / scale)

@@ -39,29 +39,27 @@ def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
     lacking = [search for search in searches if search.null.score >= THRESHOLDS.law.least_null_score]
     if not lacking:
         return reading_of(rig, searches[0], [])
-    singles = [(search, search.singles()) for search in lacking]
-    singles = sorted(((s, laws) for s, laws in singles if laws), key=lambda one: one[1][0].score)
+    singles = [(search, law) for search in lacking if (law := search.single()) is not None]
+    singles.sort(key=lambda one: one[1].score)
     if not singles:
         return reading_of(rig, lacking[0], [])
-    tried: list[tuple[RecordSearch, list[RecordLaw], RecordLaw]] = []
-    near = THRESHOLDS.law.place_score_ratio * max(singles[0][1][0].score, singles[0][0].records.enough)
-    for search, laws in [one for one in singles if one[1][0].score <= near][:_PLACES]:
-        moved = _along_its_motion(search, laws[0])
-        found = moved.found() or ([] if moved is not search else laws)
-        if found:
-            tried.append((moved, found, moved.fewest(found)))
+    tried: list[tuple[RecordSearch, list[RecordLaw]]] = []
+    near = THRESHOLDS.law.place_score_ratio * max(singles[0][1].score, THRESHOLDS.law.least_null_score)
+    for search, law in [one for one in singles if one[1].score <= near][:_PLACES]:
+        moved = _along_its_motion(search, law)
+        if found := moved.found():
+            tried.append((moved, found))
     if not tried:
         return reading_of(rig, singles[0][0], [])
-    least = THRESHOLDS.law.alike_score_ratio * min(best.score for _, _, best in tried)
-    search, laws, best = min(
-        (one for one in tried if one[2].score <= least), key=lambda one: (len(one[2].terms), one[2].score)
+    least = THRESHOLDS.law.alike_score_ratio * min(found[0].score for _, found in tried)
+    search, laws = min(
+        (one for one in tried if one[1][0].score <= least), key=lambda one: (len(one[1][0].terms), one[1][0].score)
     )
-    nearer = _along_its_motion(search, best) if best.score > search.records.enough else search
-    if nearer is not search and (again := nearer.found()):
-        other = nearer.fewest(again)
-        if other.score < best.score:
-            search, laws, best = nearer, again, other
-    everywhere = [(s.records, found) for s, found, _ in tried]
+    nearer = _along_its_motion(search, laws[0]) if laws[0].score > THRESHOLDS.law.least_null_score else search
+    if nearer is not search and (again := nearer.found()) and again[0].score < laws[0].score:
+        search, laws = nearer, again
+    best = laws[0]
+    everywhere = [(s.records, found) for s, found in tried]
 
     def other_places(words: str) -> tuple[str, ...]:
         return tuple(
@@ -71,7 +69,7 @@ def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
             and any(nearly_as_well(law.score, best.score) and words_of(records, law) == words for law in found)
         )
 
-    return reading_of(rig, search, laws, other_places, best)
+    return reading_of(rig, search, laws, other_places)
 
 
 def _along_its_motion(search: RecordSearch, law: RecordLaw) -> RecordSearch:
@@ -86,10 +84,7 @@ def _along_its_motion(search: RecordSearch, law: RecordLaw) -> RecordSearch:
         records: RespondingRecords = search.records  # type: ignore[assignment]
         forces = [np.sum([c * record.force(term) for term, c in law.terms], axis=0) for record in records.records]
         again = RecordSearch(records.beside(forces))
-        blocks = list(law.blocks)
-        for k in range(len(blocks)):
-            blocks[k] = again.refined(blocks[k], [*blocks[:k], *blocks[k + 1 :]])
-        other = again.law(blocks)
+        other = again.moved(law.blocks)
         if not other.score < law.score:
             break
         search, law = again, other

@@ -128,8 +128,11 @@ def blocks_of_records(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
         Block("cogging", (Term("cogging", way / waves), Term("cogging", way / waves, 0.25)), (1,), step / waves)
         for waves in np.arange(most, fewest, -step)
     ]
-    # Samples show the way to full friction, which a few harmonics do not.
+    # Samples show the way to full friction, and exponents, which a few harmonics do not.
     found["weakening friction"] = [replace(block, refined=(1, 2)) for block in found["weakening friction"]]
+    for name, members in found.items():
+        if members[0].terms[0].form.starts and "{power}" in members[0].terms[0].form.formula:
+            found[name] = [replace(block, refined=(1,)) for block in members]
     return found
 
 

@@ -75,8 +75,9 @@ def formula(term: Term) -> str:
     first, side = term.first, -1.0 if term.second < 0.0 else 1.0
     gap = significant(math.copysign(1e3 * first, side), 3)
     text = term.form.formula.format(
-        power="" if first == 1.0 else raised(f"{first:g}"), mm=significant(1e3 * first, 3), size=significant(first, 2),
-        last=significant(term.second, 2), beyond=f"x {'>' if side > 0.0 else '<'} {gap} mm",
+        power="" if first == 1.0 else raised(f"{first:.3g}"), mm=significant(1e3 * first, 3),
+        size=significant(first, 2), last=significant(term.second, 2),
+        beyond=f"x {'>' if side > 0.0 else '<'} {gap} mm",
     )  # fmt: skip
     return f"{term.by} times: {text}" if term.by else text
 

@@ -89,16 +89,14 @@ def reading_of(
     search: RecordSearch,
     tried: Sequence[RecordLaw],
     other_places: Callable[[str], tuple[str, ...]] = _none,
-    best: RecordLaw | None = None,
 ) -> LawReading:
     """The law of records, or why none is told.
 
     Args:
         rig: the model as given.
         search: of the law.
-        tried: laws that were found; nothing where none was looked for.
+        tried: the law that was found and those that it was compared with; nothing where none was looked for.
         other_places: places at which a law of a family does nearly as well.
-        best: of these the one that is told; None = of those whose score is near the best the one of fewest terms.
     """
     limits, records = THRESHOLDS.law, search.records
     before = search.null.score
@@ -124,7 +122,7 @@ def reading_of(
         return reading("the record differs from the model by no more than noise and tolerances")
     if not tried:
         return reading("no local force explains it")
-    best = best or search.fewest(tried)
+    best = tried[0]
     if not best.terms:
         return reading("no local force explains it")
     pulled = search.pulled(best)

@@ -1,24 +1,20 @@
-"""Search for the law of records of imposed motion: blocks of terms side by side, as many as parts left out ask for.
-
-Terms act along the measured motion, so that blocks are added one after the other to a convex problem. From each of few
-laws the families that fit best beside it are refined and judged by the parts that the fit did not see. A block stays
-only where these are told better by as much as laws have to differ to be told apart.
-"""
+"""The law of records: blocks of terms along a measured motion, chosen side by side."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
+from nmt_diagnose.choose.choice import Choice, Chosen, Judged
+from nmt_diagnose.choose.space import Columns, Space
 from nmt_diagnose.law.convex import ConvexFit, Solution
 from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
-from nmt_diagnose.law.law_search import best_moved, between
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.sampled_records import DELAY, HALF_A_SAMPLE, SampledRecords
 from nmt_diagnose.law.terms import Term
@@ -27,14 +23,12 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.local_elements.element import MAGNITUDE_OF
 
 _BLOCKS = 5  # side by side
-_KEPT = 2  # laws that are gone on from
 _BELOW = 0.1  # of a strength that it may be below zero at the end of the range
 _STEP = 1e-3  # of a parameter, for differences
-_SHORTENED = 3  # of as many terms that are judged
 _THIN = 8  # of a family that are tried where places are compared
+_COMPARED = 12  # sets of families that may do nearly as well
 _TIGHTENED = 30  # rounds in which errors without a law come to be ordinary ones
 _WITHIN = 0.98
-_REFINED = 6  # families that are refined beside each
 
 
 @dataclass(frozen=True)
@@ -55,11 +49,6 @@ class RecordLaw:
         values = iter(self.fit.coefficients)
         pairs = [[(term, float(next(values))) for term in block.terms] for block in self.blocks]
         return tuple(tuple(pair for pair in block if pair[1] != 0.0) for block in pairs)
-
-    @property
-    def unwritten(self) -> bool:
-        """Whether no element has the force of one of its terms."""
-        return any(term.section is None for term, _ in self.terms)
 
     @property
     def acts(self) -> bool:
@@ -126,102 +115,67 @@ class RecordSearch:
         """Blocks with their fit."""
         return RecordLaw(tuple(blocks), self.problem.solve(self.records.columns(_terms(blocks)), signed(blocks)))
 
-    def cost(self, blocks: Sequence[Block]) -> float:
-        """Squared residuals of blocks and what the priors of the errors count."""
-        return self.problem.cost(self.records.columns(_terms(blocks)), signed(blocks))
-
-    def singles(self) -> list[RecordLaw]:
-        """Laws of one block of the families that fit best, of a few of each: what a place is worth, the best first."""
-        every = blocks_of_records(self.records.x, self.records.v).values()
+    def single(self) -> RecordLaw | None:
+        """The best law of one block, of a few of each family: what a place is worth; None where none acts."""
+        every = blocks_of_records(self.records.x, self.records.v)
         # A wave is met or it is not: of cogging half are tried.
-        families = [m[:: 2 if m[0].terms[0].kind == "cogging" else max(1, len(m) // _THIN)] for m in every]
-        laws = [law for law in self._beside(self.null, families) if law.terms]
-        return sorted(laws, key=lambda law: law.score)
+        some = {name: m[:: 2 if name == "cogging" else max(1, len(m) // _THIN)] for name, m in every.items()}
+        chosen = Choice(self._space).grow(self._library(some), 1)
+        return next((self._law_of(chosen, one) for one in chosen.judged if one.numbers), None)
 
     def found(self) -> list[RecordLaw]:
-        """Laws of one block and more, the best of each number of blocks among them."""
+        """The law and others that were compared with it, each with its rows counted as what the law leaves is worth."""
         families = blocks_of_records(self.records.x, self.records.v)
-        result, kept, ratio = list[RecordLaw](), [self.null], THRESHOLDS.law.alike_score_ratio
-        for _ in range(_BLOCKS):
-            grown = [(one, law) for one in kept for law in self._beside(one, list(families.values()))]
-            others = sorted((law for _, law in grown), key=lambda law: law.score)
-            # A block is told beside those that it stands with, not beside another law.
-            better = sorted((law for one, law in grown if law.score * self._asked(one) <= one.score), key=_score)
-            if not better or kept[0].score <= THRESHOLDS.law.second_from_score:
-                return result or others
-            near = [law for law in better[1:] if law.score <= better[0].score * ratio]
-            # What is gone on from is the best law and the shortest that is alike.
-            goes_on = [better[0], min(near, key=lambda law: (len(law.terms), law.score))] if near else better[:_KEPT]
-            kept = sorted((self.polished(law) for law in goes_on), key=lambda law: law.score)
-            result += kept + [law for law in others if all(law is not other for other in goes_on)]
-            kept = [self._weighed(kept[0]), *(self.law(law.blocks) for law in kept[1:])]
-        return result
+        chosen = Choice(self._space).grow(self._library(families), _BLOCKS)
+        best = self._law_of(chosen, chosen.best)
+        if not best.blocks:
+            return []
+        best = self._weighed(best)
+        others: dict[tuple[str, ...], Judged] = {}
+        for one in chosen.judged:
+            names = tuple(sorted(chosen.columns[number].term for number in one.numbers))
+            if one is not chosen.best and 0 < len(one.numbers) <= len(best.blocks):
+                others.setdefault(names, one)
+        return [best, *(self._law_of(chosen, one) for one in list(others.values())[:_COMPARED])]
 
-    def _asked(self, law: RecordLaw) -> float:
-        """By how much a score has to fall by one block more."""
-        limits = THRESHOLDS.law
-        return limits.alike_score_ratio if law.score > self.records.enough else 1.0 / limits.clear_score_ratio
+    @cached_property
+    def _space(self) -> Space:
+        """The rows about the model as given."""
+        missing, errors = self._missing.ravel()[self._rows], self._errors.reshape(-1, self._errors.shape[2])[self._rows]
+        length, count = self._missing.shape[1], self.records.count
+        numbers = np.empty(self._missing.size, np.int64)
+        numbers[self._rows] = np.arange(self._rows.size)
+        series = [numbers[part * length + rows] for part, rows, _ in self.records.series()]
+        return Space(
+            missing, errors, self._rows // length, np.nan, 1.0, ends=(0, count - 1), series=series,
+            bound=self.records.bound,
+        )  # fmt: skip
 
-    def _beside(self, law: RecordLaw, families: Sequence[Sequence[Block]]) -> list[RecordLaw]:
-        """The best block of the families that fit best beside a law, each with it."""
-        tried = []
-        for members in families:
-            costs = [self.cost((*law.blocks, block)) for block in members]
-            number = int(np.argmin(costs))
-            tried.append((costs[number], number, members))
-        tried.sort(key=lambda one: one[0])
-        result = []
-        for _, number, members in tried[:_REFINED]:
-            block = members[number]
-            if block.bounded and len(members) > 1:
-                block = between(members, number, lambda other: self.cost((*law.blocks, other)))
-            larger = self._acting(self.law((*law.blocks, self.refined(block, law.blocks))))
-            if larger.acts:
-                result.append(larger)
-        return result + self._following(law)
+    @cached_property
+    def _rows(self) -> IntArray:
+        """Places of the rows in parts of equal length."""
+        size = np.zeros(self._missing.shape, bool)
+        for part, rows, _ in self.records.series():
+            size[part, rows] = True
+        return np.flatnonzero(size)
 
-    def _acting(self, law: RecordLaw) -> RecordLaw:
-        """The law whose last block, a grid, has only the terms that act: others would fit the noise of parts."""
-        block, strengths = law.blocks[-1], law.strengths[-1]
-        if block.refined or not 0 < len(strengths) < len(block.terms):
-            return law
-        return self.law((*law.blocks[:-1], replace(block, terms=tuple(term for term, _ in strengths))))
+    def _library(self, families: Mapping[str, Sequence[Block]]) -> list[BlockColumns]:
+        found = []
+        for name, members in families.items():
+            for number, block in enumerate(members):
+                near = members[max(number - 1, 0)], members[min(number + 1, len(members) - 1)]
+                found.append(BlockColumns.of(self.records, self._rows, name, block, _reach(block, *near)))
+        return found
 
-    def _following(self, law: RecordLaw) -> list[RecordLaw]:
-        """The law with one of its blocks following a measured channel, as far as its strength stays passive."""
-        result = []
-        for k, block in enumerate(law.blocks):
-            for channel in self.records.records[0].channels:
-                low, high = self.records.range_of(channel)
-                plain = channel.removeprefix(MAGNITUDE_OF)
-                if block.by or block.contact or not high > low or (plain == POSITION and block.terms[0].signed):
-                    continue
-                ends = self.records.range_of(plain)
-                if plain != channel and ends[0] * ends[1] >= 0.0:
-                    continue  # where the channel is of one sign its magnitude says the same
-                blocks = [*law.blocks[:k], block.following(channel, 0.5 * (low + high)), *law.blocks[k + 1 :]]
-                blocks[k] = self.refined(blocks[k], [*blocks[:k], *blocks[k + 1 :]])
-                following = self.law(blocks)
-                if following.acts and _stays_passive(following, k, 0.5 * (high - low)):
-                    result.append(following)
-        return result
+    def _law_of(self, chosen: Chosen, one: Judged) -> RecordLaw:
+        columns = [chosen.columns[number] for number in one.numbers]
+        return self.law([column.block for column in columns if isinstance(column, BlockColumns)])
 
-    def refined(self, block: Block, others: Sequence[Block]) -> Block:
-        """The block with its parameters moved to where the fit beside others is best."""
-        if not block.terms[0].first > 0.0 and 1 in block.refined:
-            return block
-        # Two parameters are moved in turn.
-        for parameter in block.refined * len(block.refined):
-            block = best_moved(block, parameter, (-block.reach, block.reach), lambda other: self.cost((*others, other)))
-        return block
-
-    def polished(self, law: RecordLaw) -> RecordLaw:
-        """The law with every block refined beside the others, where parts left out are told no worse by it."""
-        blocks = list(law.blocks)
-        for k, block in enumerate(blocks[:-1]):
-            blocks[k] = self.refined(block, [*blocks[:k], *blocks[k + 1 :]])
-        found = self.law(blocks)
-        return found if found.score <= law.score and found.acts else law
+    def moved(self, blocks: Sequence[Block]) -> RecordLaw:
+        """Blocks with their parameters moved to where the fit is best."""
+        families = {f"{number} {block.name}": [block] for number, block in enumerate(blocks)}
+        found = Choice(self._space).moved(self._library(families))
+        return self.law([column.block for column in found if isinstance(column, BlockColumns)])
 
     def late(self, law: RecordLaw) -> float:
         """Samples by which the force comes later than the motion, beside a law."""
@@ -266,70 +220,6 @@ class RecordSearch:
         values = law.fit.coefficients[start : start + len(block.terms)]
         return np.asarray(self.records.columns(block.terms) @ values)
 
-    def fewest(self, tried: Sequence[RecordLaw]) -> RecordLaw:
-        """Of the laws whose score is near the best the family of fewest terms, in the shape that is told best.
-
-        What a file can hold comes before what it cannot.
-
-        A family is asked for by a tenth of the score. Terms that are no family of their own are its shape, and their
-        number hangs on the grid that they come from: they stay where parts left out are told any better.
-        """
-        ratio = THRESHOLDS.law.alike_score_ratio
-        first = min(tried, key=lambda law: law.score)
-        # Scores compare where rows count alike.
-        best = self._weighed(first).score
-        near = [self.law(law.blocks) for law in tried if law.score <= first.score * ratio]
-        near = [law for law in near if law.acts] or [first]
-        paths = [self._shortened(law, max(law.score, best * ratio**0.5)) for law in near]
-        least = ratio * min(law.score for path in paths for law in path)
-        within = [kept for path in paths if (kept := [law for law in path if law.score <= least])]
-        path = min(within, key=lambda laws: (laws[-1].unwritten, len(laws[-1].terms), laws[-1].score))
-        return self._weighed(in_shape(path, [words_of(self.records, law) for law in path]))
-
-    def _shortened(self, law: RecordLaw, most: float) -> list[RecordLaw]:
-        """The law with ever fewer blocks and terms, up to a score."""
-        path = [law]
-        while True:
-            shorter = [
-                (*law.blocks[:k], *without, *law.blocks[k + 1 :])
-                for k, block in enumerate(law.blocks)
-                for without in _shorter(block)
-            ]
-            fewer = self._fewer([blocks for blocks in shorter if blocks], most)
-            if fewer is None:
-                return path
-            law = fewer
-            path.append(law)
-
-    def _fewer(self, shorter: Sequence[tuple[Block, ...]], most: float) -> RecordLaw | None:
-        """Of laws without a block or a term the one of fewest terms up to a score; None where there is none."""
-        numbers = [len(_terms(blocks)) for blocks in shorter]
-        for number in sorted(set(numbers)):
-            # Left out one by one, parts take ten times as long: those that fit best come first.
-            alike = sorted((b for b, n in zip(shorter, numbers, strict=True) if n == number), key=self.cost)[
-                :_SHORTENED
-            ]
-            laws = [law for law in map(self.law, alike) if law.score <= most and law.terms and law.acts]
-            if laws:
-                return min(laws, key=lambda law: (len(law.terms), law.score))
-        return None
-
-
-def _score(law: RecordLaw) -> float:
-    return law.score
-
-
-def in_shape(path: Sequence[RecordLaw], words: Sequence[str]) -> RecordLaw:
-    """Of ever shorter laws the shortest that has the family of the last and is told as well as the first.
-
-    Args:
-        path: the laws.
-        words: their families.
-    """
-    most = path[0].score * THRESHOLDS.law.shape_score_ratio
-    alike = [law for law, its in zip(path, words, strict=True) if its == words[-1] and law.score <= most]
-    return (alike or [path[-1]])[-1]
-
 
 def words_of(records: SampledRecords[Any], law: RecordLaw) -> str:
     """Families of a law in words, that of the largest force first; empty where no term acts."""
@@ -343,24 +233,121 @@ def words_of(records: SampledRecords[Any], law: RecordLaw) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
 
 
-def _stays_passive(law: RecordLaw, number: int, half: float) -> bool:
-    """Whether strengths that change by a channel on either side of its middle keep their sign, within their errors."""
-    strengths = dict(law.strengths[number])
-    return all(
-        abs(strengths.get(replace(term, by="", about=0.0), 0.0)) * (1.0 + _BELOW) >= abs(value) * half
-        for term, value in strengths.items()
-        if term.by
-    )
+@dataclass(frozen=True, eq=False)
+class BlockColumns(Columns):
+    """A block of terms along the motion of records.
+
+    Attributes:
+        records: with the motion.
+        rows: places of the rows in parts of equal length.
+        block: the terms.
+        reach: logarithms of the factors by which its parameters are moved at most.
+        whole: whether its exponent is one that was asked, which is likelier than others.
+    """
+
+    records: SampledRecords[Any] = field(kw_only=True, repr=False)
+    rows: IntArray = field(kw_only=True, repr=False)
+    block: Block = field(kw_only=True)
+    reach: tuple[float, float] = field(kw_only=True)
+    whole: bool = field(kw_only=True)
+
+    @classmethod
+    def of(
+        cls,
+        records: SampledRecords[Any],
+        rows: IntArray,
+        name: str,
+        block: Block,
+        reach: tuple[float, float],
+        whole: bool = True,
+    ) -> BlockColumns:
+        """The columns of a block, by the name of its family."""
+        values = records.columns(block.terms).reshape(-1, len(block.terms))
+        values = values if len(values) == rows.size else values[rows]
+        freed = 0 if whole and _has_exponent(block) else len(block.refined)
+        return cls(
+            "", name, values, signed=signed([block]), freed=freed, causes=2 if block.by else 1, records=records,
+            rows=rows, block=block, reach=reach, whole=whole,
+        )  # fmt: skip
+
+    @cached_property
+    def same(self) -> tuple[str, Block]:
+        """See :attr:`Columns.same`."""
+        return self.term, self.block
+
+    def _of(self, block: Block) -> BlockColumns:
+        return BlockColumns.of(self.records, self.rows, self.term, block, self.reach, self.whole)
+
+    @cached_property
+    def reaches(self) -> Sequence[tuple[float, float]]:
+        """See :attr:`Columns.reaches`; a contact without a clearance has none."""
+        if not self.block.terms[0].first > 0.0 and 1 in self.block.refined:
+            return ()
+        return [self.reach] * len(self.block.refined)
+
+    def moved(self, number: int, log_factor: float) -> BlockColumns:
+        """See :meth:`Columns.moved`; what is bounded stays there."""
+        low, high = self.reach
+        bounded = self.block.bounded or _has_exponent(self.block)
+        reach = (low - log_factor, high - log_factor) if bounded else self.reach
+        block = moved(self.block, self.block.refined[number], math.exp(log_factor))
+        return BlockColumns.of(self.records, self.rows, self.term, block, reach, False)
+
+    def allows(self, coefficients: FloatArray) -> bool:
+        """Whether the block has a force, contacts their spring, and stays passive along a channel that it follows."""
+        block, strengths = self.block, dict(zip(self.block.terms, coefficients.tolist(), strict=True))
+        if not (strengths[block.terms[0]] if block.contact else np.any(coefficients)):
+            return False
+        if not block.by:
+            return True
+        low, high = self.records.range_of(block.by)
+        return all(
+            abs(strengths.get(replace(term, by="", about=0.0), 0.0)) * (1.0 + _BELOW) >= abs(value) * 0.5 * (high - low)
+            for term, value in strengths.items()
+            if term.by and not term.form.signed
+        )
+
+    def shorter(self, coefficients: FloatArray) -> list[BlockColumns]:
+        """The block with the terms that act, and these without one of them; with an exponent that is not fitted."""
+        terms = [term for term, value in zip(self.block.terms, coefficients, strict=True) if value != 0.0]
+        some = [terms] if len(terms) < len(self.block.terms) else []
+        for term in terms if len(terms) > 1 else ():
+            if term.by or not any(other.by and replace(other, by="", about=0.0) == term for other in terms):
+                some.append([other for other in terms if other != term])
+        found = [self._of(replace(self.block, terms=tuple(kept))) for kept in some]
+        if _has_exponent(self.block) and not self.whole:
+            exponent = round(2.0 * self.block.terms[0].first) / 2.0
+            block = moved(self.block, 1, exponent / self.block.terms[0].first)
+            found.append(BlockColumns.of(self.records, self.rows, self.term, block, (-math.log(exponent), block.reach)))
+        return found
+
+    def following(self) -> list[BlockColumns]:
+        """The block with coefficients that change with one of the measured channels."""
+        found, block = [], self.block
+        for channel in self.records.records[0].channels:
+            low, high = self.records.range_of(channel)
+            plain = channel.removeprefix(MAGNITUDE_OF)
+            if block.by or block.contact or not high > low or (plain == POSITION and block.terms[0].signed):
+                continue
+            ends = self.records.range_of(plain)
+            # Where a channel is of one sign its magnitude says the same.
+            if plain == channel or ends[0] * ends[1] < 0.0:
+                found.append(self._of(block.following(channel, 0.5 * (low + high))))
+        return found
 
 
-def _shorter(block: Block) -> list[tuple[Block, ...]]:
-    """A block without one of its terms, and no block."""
-    found: list[tuple[Block, ...]] = [()]
-    for term in block.terms if len(block.terms) > 1 else ():
-        if not term.by and any(other.by and replace(other, by="", about=0.0) == term for other in block.terms):
-            continue
-        found.append((replace(block, terms=tuple(other for other in block.terms if other != term)),))
-    return found
+def _has_exponent(block: Block) -> bool:
+    return "{power}" in block.terms[0].form.formula
+
+
+def _reach(block: Block, below: Block, above: Block) -> tuple[float, float]:
+    """Logarithms of the factors by which a block is moved: what is bounded stays between its neighbours."""
+    size = block.terms[0].first
+    if not block.bounded or not size > 0.0:
+        # An element of a damper has an exponent of 1 at least.
+        return (-math.log(size) if _has_exponent(block) else -block.reach), block.reach
+    ends = sorted((below.terms[0].first, above.terms[0].first))
+    return math.log(max(ends[0] / size, 0.5)), math.log(ends[1] / size)
 
 
 def _terms(blocks: Sequence[Block]) -> list[Term]:

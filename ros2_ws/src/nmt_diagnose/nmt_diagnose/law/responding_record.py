@@ -540,9 +540,9 @@ class RespondingRecords(SampledRecords[RespondingRecord]):
         return RespondingRecords(tuple(found), parts_by_motion(found))
 
     @property
-    def enough(self) -> float:
+    def bound(self) -> bool:
         """The motion of the place has errors, too, which a law beside another takes for its own."""
-        return THRESHOLDS.law.least_null_score
+        return True
 
 
 def moving(every: Sequence[RespondingRecords]) -> list[RespondingRecords]:

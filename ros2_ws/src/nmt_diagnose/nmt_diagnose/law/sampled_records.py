@@ -15,6 +15,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
+from nmt_diagnose.choose.space import independent_share
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -136,9 +137,9 @@ class SampledRecords(Generic[R]):
         raise NotImplementedError
 
     @property
-    def enough(self) -> float:
-        """Score of a law from which down a law beside it must halve what is left."""
-        return THRESHOLDS.law.second_from_score
+    def bound(self) -> bool:
+        """Whether the standard deviations bound errors of the motion, too, and are not those of noise."""
+        return False
 
     @property
     def lateness(self) -> tuple[str, float] | None:
@@ -258,16 +259,5 @@ class SampledRecords(Generic[R]):
         for number, rows, _ in self.series():
             row = left[number, rows] - left[number, rows].mean()
             total += rows.size
-            independent += rows.size * _independent_share(row)
+            independent += rows.size * independent_share(row)
         return independent / total
-
-
-def _independent_share(row: FloatArray) -> float:
-    """Independent samples over samples (Bartlett, J. R. Stat. Soc. Suppl. 8 (1946) 27)."""
-    power = np.abs(np.fft.rfft(row, 2 * row.size)) ** 2
-    correlation = np.fft.irfft(power)[: row.size]
-    if not correlation[0] > 0.0:
-        return 1.0
-    ends = np.flatnonzero(correlation < 0.0)
-    summed = float(correlation[1 : int(ends[0]) if ends.size else None].sum()) / float(correlation[0])
-    return 1.0 / (1.0 + 2.0 * summed)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -107,7 +107,7 @@ class Term:
         if self.by:
             return f"{replace(self, by='').unit}/{Quantity[self.by.removeprefix(MAGNITUDE_OF).split()[0].upper()].unit}"
         if self.section is None or self.form.unit:
-            return self.form.unit.format(exponent=f"{self.first:g}")
+            return self.form.unit.format(exponent=f"{self.first:.3g}")
         return unit_of_key(self.section.own_keys()[0]).translate(_POWERS)
 
     def values(self, strength: float) -> dict[str, float]:
@@ -132,6 +132,7 @@ class Term:
         return self.section.element(_ALONG, *self.values(1.0).values())
 
 
+@lru_cache(maxsize=4096)
 def _form(kind: str, first: float) -> tuple[LawForm, type[ElementSection] | None]:
     """Form of a term and the section of the element that has its force."""
     for form, section in _FORMS:

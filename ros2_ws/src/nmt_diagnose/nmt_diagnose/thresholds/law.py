@@ -73,10 +73,6 @@ class LawThresholds:
         1.12, "1", "Among scores within it the fewest elements win.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
     )  # fmt: skip
-    shape_score_ratio: float = threshold(
-        1.01, "1", "Score ratio that a longer law of a record must beat.",
-        "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",
-    )  # fmt: skip
     place_score_ratio: float = threshold(
         1.3, "1", "Score ratio up to which places are indistinguishable.",
         "tests/diagnose/test_law_thresholds.py::test_a_threshold_decides",

@@ -37,10 +37,14 @@ _JUDGED = 8
 """Columns a set is grown by in full, of those that take most at first order."""
 _PATIENCE = 1
 """Causes more that bring nothing before the search ends."""
+_HOPE = 0.5
+"""Of its price that a cause has to pay at first order, its numbers as they are asked, before sets are grown by one."""
 _STEPS = 8
 _SETTLED = 0.01
 _RIDGE = 1e-9
 _LEAST_KEPT = 1e-3
+_COARSE, _FINE = 2.5e-3, 2.5e-4
+"""Share of their range to which numbers in columns are found, while sets grow and at last."""
 _ALIKE = 0.01
 """Of the criterion, which rounding errors of equal columns differ by less than."""
 _RECOUNTED = 0.05
@@ -119,7 +123,7 @@ class Choice:
         sets = _Sets(self._space, causes)
         item = sets.judged(tuple(range(len(causes))))
         for number in item.numbers:
-            item = sets.moved(item, number)
+            item = sets.moved(item, number, _FINE)
         return [sets.columns[number] for number in item.numbers]
 
     def grow(self, library: Sequence[Columns], most: int, alike: float = 0.0) -> Chosen:
@@ -134,7 +138,7 @@ class Choice:
         best = sets.judged(())
         kept, waited = [best], 0
         for size in range(1, most + 1):
-            if best.score <= sets.least(size):
+            if best.numbers and not sets.may_grow(best):
                 break
             grown = [item for start in kept for item in sets.grown(start)]
             if sets.recount(_best([best, *grown])):
@@ -148,7 +152,7 @@ class Choice:
             if waited > _PATIENCE:
                 break
         for number in best.numbers:
-            best = sets.moved(best, number)
+            best = sets.moved(best, number, _FINE)
         order = sets.by_need(best)
         instead = sets.in_place_of(best, order[0], alike) if order and alike > 0.0 else ()
         columns = tuple(sets.columns)
@@ -220,7 +224,7 @@ class _Sets:
         self._independent = space.independent_by(space.left)
         self._memory: dict[tuple[int, ...], Judged] = {}
         self._ranked: dict[tuple[int, ...], list[int]] = {}
-        self._settled: dict[tuple[tuple[int, ...], int], Judged] = {}
+        self._settled: dict[tuple[tuple[int, ...], int, float], Judged] = {}
 
     def _placed(self, values: FloatArray) -> FloatArray:
         """Rows at their places among those of their groups."""
@@ -298,10 +302,12 @@ class _Sets:
         """All sets that were judged and are possible, best first."""
         return sorted((item for item in self._memory.values() if np.isfinite(item.score)), key=_order)
 
-    def least(self, size: int) -> float:
-        """What no set of so many causes falls below."""
-        noise = np.log(self._least) + (1.0 if self._space.bound else 0.0)
-        return float(self._independent * noise + size * (self._price + np.log(self._independent)))
+    def may_grow(self, best: Judged) -> bool:
+        """Whether one cause more may pay for a good part of itself, or leave more than a bound."""
+        if self._space.bound and best.variance <= self._least:
+            return False
+        found, counts = self.gains(best, self._all_asked)
+        return bool(np.max(found - counts * np.log(self._independent)) > _HOPE * self._price)
 
     def lowest(self, sets: Iterable[Judged]) -> list[Judged]:
         """The few best, each of other causes."""
@@ -482,13 +488,20 @@ class _Sets:
             self._ranked[start.numbers] = found
         return self._ranked[start.numbers][:most]
 
-    def moved(self, item: Judged, number: int) -> Judged:
-        """The set with the numbers in one of its columns moved, or as it is where that brings nothing."""
-        if (item.numbers, number) not in self._settled:
-            self._settled[item.numbers, number] = self._moved(item, number)
-        return self._settled[item.numbers, number]
+    def moved(self, item: Judged, number: int, share: float = _COARSE) -> Judged:
+        """The set with the numbers in one of its columns moved, or as it is where that brings nothing.
 
-    def _moved(self, item: Judged, number: int) -> Judged:
+        Args:
+            item: the set.
+            number: of the column.
+            share: of their range to which they are found.
+        """
+        asked = item.numbers, number, share
+        if asked not in self._settled:
+            self._settled[asked] = self._moved(item, number, share)
+        return self._settled[asked]
+
+    def _moved(self, item: Judged, number: int, share: float) -> Judged:
         column = self.columns[number]
         if not column.reaches or not np.isfinite(item.score):
             return item
@@ -499,7 +512,7 @@ class _Sets:
             low, high = column.reaches[k]
             best = minimize_scalar(
                 lambda log, k=k, column=column: cost(column.moved(k, float(log))),
-                bounds=(low, high), method="bounded", options={"xatol": 2.5e-4 * (high - low), "maxiter": 20},
+                bounds=(low, high), method="bounded", options={"xatol": share * (high - low), "maxiter": 20},
             )  # fmt: skip
             if best.fun < cost(column):
                 column = column.moved(k, float(best.x))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cache, cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -115,7 +115,7 @@ class Term:
         form, section = _form(self.kind, self.first)
         if section is None or form.values is None:
             return {}
-        return dict(zip(section.own_keys(), form.values(strength, self.first, self.second), strict=True))
+        return dict(zip(_own_keys(section), form.values(strength, self.first, self.second), strict=True))
 
     def force(self, x: FloatArray, v: FloatArray, closed: bool = True) -> FloatArray:
         """Force (…, n) of a unit coefficient along displacement (m) and velocity (m/s); see :func:`force_of`."""
@@ -130,6 +130,11 @@ class Term:
         """The element of unit strength that has its force."""
         assert self.section is not None
         return self.section.element(_ALONG, *self.values(1.0).values())
+
+
+@cache
+def _own_keys(section: type[ElementSection]) -> tuple[str, ...]:
+    return tuple(section.own_keys())
 
 
 @lru_cache(maxsize=4096)

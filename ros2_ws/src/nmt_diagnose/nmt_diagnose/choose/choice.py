@@ -59,7 +59,7 @@ class Judged:
         numbers: of the columns, ascending.
         score: the criterion; infinite where a coefficient is not what its name says.
         size: numbers of causes and of coefficients that are not zero.
-        told: the criterion without a floor, for sets of one size.
+        unfloored: the criterion without a floor, for sets of one size.
         variance: of a row, the floor included.
         values: of nuisances and coefficients.
     """
@@ -67,7 +67,7 @@ class Judged:
     numbers: tuple[int, ...]
     score: float
     size: tuple[int, int]
-    told: float
+    unfloored: float
     variance: float
     values: FloatArray = field(repr=False)
 
@@ -172,7 +172,7 @@ def _best(sets: Iterable[Judged]) -> Judged:
     """The best of the best sets of each size; the first of equal ones."""
     each: dict[tuple[int, int], Judged] = {}
     for item in sets:
-        each[item.size] = min(each.get(item.size, item), item, key=lambda one: _rounded(one.told))
+        each[item.size] = min(each.get(item.size, item), item, key=lambda one: _rounded(one.unfloored))
     return min(each.values(), key=_order)
 
 
@@ -360,10 +360,10 @@ class _Sets:
         acting = int(np.count_nonzero(values[self._fixed :]))
         freed = sum(self.columns[number].freed for number in numbers)
         causes = sum(self.columns[number].causes for number in numbers)
-        rest = pulls + causes * self._price + (acting + freed) * np.log(independent)
-        score = independent * (np.log(noise) + (1.0 if self._space.bound else squares / noise)) + rest
-        told = independent * (np.log(max(squares, 1e-300)) + 1.0) + rest
-        return Judged(numbers, float(score), (causes, acting), float(told), variance, values)
+        priced = pulls + causes * self._price + (acting + freed) * np.log(independent)
+        score = independent * (np.log(noise) + (1.0 if self._space.bound else squares / noise)) + priced
+        unfloored = independent * (np.log(max(squares, 1e-300)) + 1.0) + priced
+        return Judged(numbers, float(score), (causes, acting), float(unfloored), variance, values)
 
     def _solved(self, gram: FloatArray, variance: float, signed: BoolArray) -> FloatArray:
         """Coefficients, G × K, by products of their columns and of the rows, G × K + 1 × K + 1."""
@@ -419,8 +419,8 @@ class _Sets:
         taken = np.linalg.solve(matrix, np.column_stack([cross, weight * gram[place, -1]]))
         moment = weight * stack.across[:, -1] - cross.T @ taken[:, -1]
         found, counts = np.zeros(stack.count), np.zeros(stack.count)
-        for some, near, own, passive in stack.parts:
-            inner = weight * own - np.einsum("kci,kcj->cij", cross[:, near], taken[:, :-1][:, near])
+        for some, near, products, passive in stack.parts:
+            inner = weight * products - np.einsum("kci,kcj->cij", cross[:, near], taken[:, :-1][:, near])
             width = range(near.shape[1])
             inner[:, width, width] += _RIDGE * weight * self._rows
             solved = np.linalg.solve(inner, moment[near][..., None])[..., 0]
@@ -446,8 +446,8 @@ class _Sets:
         for width in np.unique(widths):
             some = np.flatnonzero(widths == width)
             near = starts[some][:, None] + np.arange(width)
-            own = np.stack([values[:, place].T @ values[:, place] for place in near])
-            parts.append((some, near, own, passive[near]))
+            products = np.stack([values[:, place].T @ values[:, place] for place in near])
+            parts.append((some, near, products, passive[near]))
         return _Stack(len(widths), values, values.T @ self._base, parts)
 
     @cached_property
@@ -550,8 +550,8 @@ class _Sets:
             cross = across[:, bound] - beside.T @ half
             matrix[count:, :count], matrix[:count, count:] = cross[:, :-1], cross[:, :-1].T
             right = np.append(fixed[:-1, -1], cross[:, -1])
-            own = np.ones(len(size), bool) if column.signed is None else column.signed
-            theta = constrained(matrix, right, 0, np.append(np.zeros(count, bool), own))
+            signs = np.ones(len(size), bool) if column.signed is None else column.signed
+            theta = constrained(matrix, right, 0, np.append(np.zeros(count, bool), signs))
             return float(fixed[-1, -1] - theta @ right)
 
         return cost
@@ -577,9 +577,9 @@ class _Sets:
             spans = self._spans(best.numbers)
             for number, span in zip(best.numbers, spans, strict=True):
                 fewer = self.judged(tuple(item for item in best.numbers if item != number), best.variance)
-                own = [self.number(other) for other in self.columns[number].shorter(best.values[span])]
-                own += self._following(number)
-                found += [fewer, *self.grown(fewer, _JUDGED // 2), *(self._with(fewer, other) for other in own)]
+                variants = [self.number(other) for other in self.columns[number].shorter(best.values[span])]
+                variants += self._following(number)
+                found += [fewer, *self.grown(fewer, _JUDGED // 2), *(self._with(fewer, other) for other in variants)]
             better = _best(found)
             # Of sets of unlike sizes each may be better than the next, and the last than the first.
             if better is best or better.numbers in passed:

@@ -242,14 +242,14 @@ class BlockColumns(Columns):
         rows: places of the rows in parts of equal length.
         block: the terms.
         reach: logarithms of the factors by which its parameters are moved at most.
-        whole: whether its exponent is one that was asked, which is likelier than others.
+        asked: whether its exponent is one that was asked, which is likelier than others.
     """
 
     records: SampledRecords[Any] = field(kw_only=True, repr=False)
     rows: IntArray = field(kw_only=True, repr=False)
     block: Block = field(kw_only=True)
     reach: tuple[float, float] = field(kw_only=True)
-    whole: bool = field(kw_only=True)
+    asked: bool = field(kw_only=True)
 
     @classmethod
     def of(
@@ -259,15 +259,15 @@ class BlockColumns(Columns):
         name: str,
         block: Block,
         reach: tuple[float, float],
-        whole: bool = True,
+        asked: bool = True,
     ) -> BlockColumns:
         """The columns of a block, by the name of its family."""
         values = records.columns(block.terms).reshape(-1, len(block.terms))
         values = values if len(values) == rows.size else values[rows]
-        freed = 0 if whole and _has_exponent(block) else len(block.refined)
+        freed = 0 if asked and _has_exponent(block) else len(block.refined)
         return cls(
             "", name, values, signed=signed([block]), freed=freed, causes=2 if block.by else 1, records=records,
-            rows=rows, block=block, reach=reach, whole=whole,
+            rows=rows, block=block, reach=reach, asked=asked,
         )  # fmt: skip
 
     @cached_property
@@ -276,7 +276,7 @@ class BlockColumns(Columns):
         return self.term, self.block
 
     def _of(self, block: Block) -> BlockColumns:
-        return BlockColumns.of(self.records, self.rows, self.term, block, self.reach, self.whole)
+        return BlockColumns.of(self.records, self.rows, self.term, block, self.reach, self.asked)
 
     @cached_property
     def reaches(self) -> Sequence[tuple[float, float]]:
@@ -315,7 +315,7 @@ class BlockColumns(Columns):
             if term.by or not any(other.by and replace(other, by="", about=0.0) == term for other in terms):
                 some.append([other for other in terms if other != term])
         found = [self._of(replace(self.block, terms=tuple(kept))) for kept in some]
-        if _has_exponent(self.block) and not self.whole:
+        if _has_exponent(self.block) and not self.asked:
             exponent = round(2.0 * self.block.terms[0].first) / 2.0
             block = moved(self.block, 1, exponent / self.block.terms[0].first)
             found.append(BlockColumns.of(self.records, self.rows, self.term, block, (-math.log(exponent), block.reach)))

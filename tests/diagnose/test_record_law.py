@@ -27,7 +27,7 @@ from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.law.record_check import autocorrelation
 from nmt_diagnose.law.record_law import parting_motion, read_record_law
-from nmt_diagnose.law.record_search import RecordSearch
+from nmt_diagnose.law.record_search import BlockColumns, RecordSearch
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.read_observations import read_observations
@@ -283,6 +283,19 @@ def test_an_exponent_is_fitted_and_a_whole_one_stays(tmp_path: Path) -> None:
         assert term.kind == "speed"
         assert term.parameters[0] == pytest.approx(exponent, rel=0.0 if exponent == 2.0 else 0.01)
         assert term.coefficient == pytest.approx(strength, rel=0.03)
+
+
+def test_no_damper_is_asked_with_an_exponent_below_one(tmp_path: Path) -> None:
+    """An exponent that was fitted is also asked as the nearest half of a whole one."""
+    rig = rig_of(tmp_path, TEXT)
+    bag = bag_of(tmp_path, RATE, {"displacement 1": X, "force 1": V}, record(TIME.size, held="response"), TEXT)
+    records = MovedRecords.of(rig, read_observations([bag], rig))
+    assert records is not None
+    rows = np.arange(records.missing.size)
+    for exponent in np.linspace(1.06, 1.6, 40):
+        block = Block("drag", (Term("speed", float(exponent)),), (1,))
+        fitted = BlockColumns.of(records, rows, "drag", block, (0.0, 0.4), asked=False)
+        assert {other.block.terms[0].first for other in fitted.shorter(np.ones(1))} <= {1.5}
 
 
 def test_a_channel_that_nothing_follows_is_not_told(tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from nmt_rig.model.local_elements.element import MAGNITUDE_OF
 _BLOCKS = 5  # side by side
 _BELOW = 0.1  # of a strength that it may be below zero at the end of the range
 _STEP = 1e-3  # of a parameter, for differences
+_LEAST_EXPONENT = 1.05  # of a damper: 1 is viscous, and elements have no less
 _THIN = 8  # of a family that are tried where places are compared
 _COMPARED = 12  # sets of families that may do nearly as well
 _TIGHTENED = 30  # rounds in which errors without a law come to be ordinary ones
@@ -315,10 +316,11 @@ class BlockColumns(Columns):
             if term.by or not any(other.by and replace(other, by="", about=0.0) == term for other in terms):
                 some.append([other for other in terms if other != term])
         found = [self._of(replace(self.block, terms=tuple(kept))) for kept in some]
-        if _has_exponent(self.block) and not self.asked:
-            exponent = round(2.0 * self.block.terms[0].first) / 2.0
-            block = moved(self.block, 1, exponent / self.block.terms[0].first)
-            found.append(BlockColumns.of(self.records, self.rows, self.term, block, (-math.log(exponent), block.reach)))
+        exponent = round(2.0 * self.block.terms[0].first) / 2.0
+        if _has_exponent(self.block) and not self.asked and exponent > _LEAST_EXPONENT:
+            block = replace(self.block, terms=tuple(replace(term, first=exponent) for term in self.block.terms))
+            reach = _reach(block, block, block)
+            found.append(BlockColumns.of(self.records, self.rows, self.term, block, reach))
         return found
 
     def following(self) -> list[BlockColumns]:
@@ -344,8 +346,7 @@ def _reach(block: Block, below: Block, above: Block) -> tuple[float, float]:
     """Logarithms of the factors by which a block is moved: what is bounded stays between its neighbours."""
     size = block.terms[0].first
     if not block.bounded or not size > 0.0:
-        # An element of a damper has an exponent of 1 at least.
-        return (-math.log(size) if _has_exponent(block) else -block.reach), block.reach
+        return (math.log(_LEAST_EXPONENT / size) if _has_exponent(block) else -block.reach), block.reach
     ends = sorted((below.terms[0].first, above.terms[0].first))
     return math.log(max(ends[0] / size, 0.5)), math.log(ends[1] / size)
 

@@ -1,19 +1,33 @@
 """Modes of frequency responses against a cantilever in closed form (Euler-Bernoulli), none of the bench's models."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from diagnose.predicted_tests import chain, noise_test
 from ruamel.yaml import YAML
+from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from nmt_bench.data_import import import_data
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
-from nmt_diagnose.fit.low_level_modes import LowLevelModes, Modes, disorder, measured_modes, modes_that_lack
+from nmt_diagnose.effects.library import candidates as library_candidates
+from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.fit.low_level_modes import (
+    LowLevelModes,
+    Modes,
+    disorder,
+    measured_modes,
+    modes_that_lack,
+    side_by_side,
+)
+from nmt_diagnose.fit.model_alone import free_parameters
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.measurement import RowTable, joined
+from nmt_diagnose.prediction.operating_range import operating_range
 
 LENGTH, WIDTH, HEIGHT, MODULUS, DENSITY = 0.7, 0.0053, 0.0116, 185e9, 7830.0
 MASS = DENSITY * WIDTH * HEIGHT * LENGTH
@@ -145,6 +159,47 @@ def test_friction_of_no_width_has_no_modes_and_ends_nothing():
     for width, there in ((1e-2, True), (1e-310, False)):
         rig = chain(local_elements=[{**dry, "reference_velocity_m_s": width}])
         assert (modes.modes(rig, test) is not None) is there
+
+
+@pytest.mark.parametrize("alone", [False, True], ids=["all channels", "one channel a test"])
+def test_shapes_of_the_model_are_residues_whatever_channels_a_test_has(alone: bool):
+    """Against the modes of mass and stiffness alone: tests of one channel each make up one shape."""
+    model = chain(local_elements=[])
+    test, _ = noise_test(model, 5.0, 60.0, 60, reference="force", window="none")
+    looked = LowLevelModes(joined([RowTable().observations(test)]), model)
+    tests = [replace(test, channels=(channel,)) for channel in test.channels] if alone else [test]
+    found = side_by_side([looked.modes(model, each) for each in tests])
+    stiffness = np.array([[35000.0, -15000.0], [-15000.0, 18000.0]])
+    squares, shapes = eigh(stiffness, np.diag([0.5, 0.3]))
+    receptance = shapes.T * shapes[0][:, None] / (2j * np.sqrt(squares)[:, None])  # driven at the first mass
+    assert [channel.quantity for channel in test.channels] == [Quantity.DISPLACEMENT, Quantity.ACCELERATION]
+    expected = receptance * np.column_stack([np.ones(2), -squares])
+    np.testing.assert_allclose(found.frequencies_hz, np.sqrt(squares) / (2.0 * np.pi), rtol=1e-3)
+    np.testing.assert_allclose(np.abs(found.shapes / expected), 1.0, rtol=0.02)
+    np.testing.assert_allclose(np.angle(found.shapes / expected), 0.0, atol=0.15)
+
+
+def test_what_moves_no_mode_promises_nothing():
+    model = chain(local_elements=[])
+    test, _ = noise_test(model, 5.0, 60.0, 60, reference="force", window="none")
+    looked = LowLevelModes(joined([RowTable().observations(test)]), model)
+    poles = np.array([1.05 * pole for pole in looked.modes(model, test).poles])
+    looked.tests = [(test, replace(looked.modes(model, test), poles=poles), np.arange(poles.size))]
+    observations = joined([RowTable().observations(test)])
+    none = Parametrisation(model, free_parameters(model, observations), (), ())
+    theta = np.zeros(none.size)
+    offered = library_candidates(model, operating_range(model, [test]), ())
+    heavy, cubic = (
+        next(it for it in offered if it.effect.name == name and it.site.location.detail == "2")
+        for name in ("added_mass", "cubic_stiffness")
+    )
+    left = looked.promises(
+        none,
+        theta,
+        [(Parametrisation(model, none.calibration, (it,), ()), np.append(theta, 0.01)) for it in (heavy, cubic)],
+    )
+    assert 0.0 < left[0] < np.sum(looked.residual(none, theta) ** 2)
+    assert left[1] == np.inf
 
 
 def test_a_mode_that_the_model_lacks_is_no_effect(tmp_path: Path):

@@ -102,3 +102,15 @@ def test_likely_places_are_told_with_their_probabilities() -> None:
         places={"4": 0.6, "7": 0.36, "9": 0.04},
     )  # fmt: skip
     assert place_words(head) == "; its place: point 4 (60 %), point 7 (36 %)"
+
+
+@pytest.mark.parametrize(("rise", "effects"), [(8.0, 1), (80.0, 2)])
+def test_what_is_too_small_to_matter_has_only_the_effects_that_the_evidence_demands(rise: float, effects: int) -> None:
+    """Evidence of a second effect that is less than what one effect needs to be stated says nothing of it."""
+    null, single, both = found(LEFT), found(LEFT, 4), pair(LEFT)
+    for number, made in enumerate((single, both)):
+        made.fitted, made.stated, made.fit.log_evidence = made.explanation, (), 100.0 + rise * number
+    everything = Hypotheses(None, null, [single, both], list(both.candidates), [], [])  # type: ignore[arg-type]
+    small = everything.small
+    assert small is not None
+    assert len(small.candidates) == effects

@@ -226,7 +226,10 @@ def _diagnosed(
     located = reported if verdict is not Verdict.UNKNOWN else is_located(gap, judgement.law)
     where = place_rows(comparison, findings.sources) if located else ()
     ranking = ranked_rows(data, comparison, judgement.shares, judgement.partial) if reported else ()
-    small = None if verdict.gap else too_small_row(data, null, findings.named, comparison)
+    demanded = None if verdict.gap else too_small_row(data, null, findings.named, comparison, held_out.closed)
+    small = None if demanded is None else demanded[0]
+    if demanded is not None and verdict is Verdict.NONE:
+        gap = replace(gap, after=demanded[1] if math.isfinite(demanded[1]) else gap.after)
     calibration = calibration_rows(judgement.best)
     if small is not None and comparison.small is not None and verdict is Verdict.NONE:
         calibration = calibration_rows(comparison.small)  # without it parameters stand in for it

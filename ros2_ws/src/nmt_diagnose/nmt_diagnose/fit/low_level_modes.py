@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import eig
 from scipy.optimize import least_squares, linear_sum_assignment
 
 from nmt_core.errors import BenchError
@@ -47,6 +48,8 @@ _VECTOR_FITTING_ROUNDS = 20
 _EXTRA_POLE_PAIRS = 3
 # Most steps of a search that brings modes together.
 _START_STEPS = 40
+# Standard deviations of modes: what moves them by less in all moves them by rounding.
+_MOVES_BY_ROUNDING = 1e-6
 # Step, in prior standard deviations, over which the matrices of a rig are differenced.
 _MATRIX_STEP = 1e-6
 # Damping ratio below which none is told from another.
@@ -544,6 +547,8 @@ class LowLevelModes:
     ) -> list[float]:
         """What would be left to first order with one more parameter, its effect switched on a little.
 
+        Infinite where the effect moves no mode, such as a force that grows with a power of the motion.
+
         Args:
             parametrisation: parameters.
             theta: their values.
@@ -557,10 +562,9 @@ class LowLevelModes:
             moved = self.residual(wider, values)
             moved = np.concatenate([moved[: parametrisation.size], moved[wider.size :]]) - now
             moved -= q @ (q.T @ moved)
-            square = float(moved @ moved)
-            result.append(
-                float(projected @ projected) - (float(projected @ moved) ** 2 / square if square > 0.0 else 0.0)
-            )
+            square, most = float(moved @ moved), float(projected @ projected)
+            moves = square > _MOVES_BY_ROUNDING**2
+            result.append(most - float(projected @ moved) ** 2 / square if moves else math.inf)
         return result
 
 
@@ -586,12 +590,15 @@ def _modes_of(parts: RigParts) -> Modes | None:
         )
     if not np.isfinite(state).all():
         return None
-    values, vectors = np.linalg.eig(state)
+    values, rows, vectors = eig(state, left=True)
     kept = (values.imag > 0.0) & (-values.real < THRESHOLDS.modes.highest_model_damping * np.abs(values))
     order = np.flatnonzero(kept)[np.argsort(np.abs(values[kept]))]
     s = values[order]
     full = (linear.displacement[r:], linear.velocity[r:], linear.acceleration[r:])
     shapes = sum((block @ vectors[:, order]) * s**power for power, block in enumerate(full))
+    # Residues: an eigenvector has any scale, and tests of other channels have another one.
+    size = np.einsum("nk,nk->k", rows[:, order].conj(), vectors[:, order])
+    shapes = shapes * (rows[:, order].conj().T @ linear.inputs[:, r]) / np.where(size == 0.0, 1.0, size)
     # What happens at a frequency appears at it over the rate of the clock.
     return Modes(
         np.asarray(s / parts.clock, dtype=np.complex128),

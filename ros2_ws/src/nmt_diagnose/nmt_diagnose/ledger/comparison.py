@@ -365,10 +365,20 @@ class Hypotheses:
 
     @property
     def small(self) -> FittedExplanation | None:
-        """The most probable explanation of a difference that the recordings show and that does not matter."""
-        found = max((it for it in self.named if not it.stated), key=self._evidence, default=None)
-        shows = found is not None and self._evidence(found) - self._evidence(self.null) > self._visible_rise(found)
-        return found if shows else None
+        """The most probable explanation of a difference that the recordings show and that does not matter.
+
+        The evidence has to demand each of its effects: of what explains almost as much with fewer, that is taken.
+        """
+        unstated = [it for it in self.named if not it.stated]
+        found = max(unstated, key=self._evidence, default=None)
+        if found is None or self._evidence(found) - self._evidence(self.null) <= self._visible_rise(found):
+            return None
+        while fewer := [it for it in unstated if it.candidates and set(it.fitted.causes) < set(found.fitted.causes)]:
+            simpler = max(fewer, key=self._evidence)
+            if self._evidence(found) - self._evidence(simpler) >= THRESHOLDS.verdict.sure_log_evidence:
+                break
+            found = simpler
+        return found
 
     def _visible_rise(self, found: FittedExplanation) -> float:
         """Rise of ln evidence from which an effect is seen, whether it matters or not."""

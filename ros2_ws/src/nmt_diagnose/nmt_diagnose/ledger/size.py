@@ -22,7 +22,9 @@ from nmt_diagnose.ledger.row_scatter import row_scatter
 from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.measurements.measurement import Observations, is_broad_band, locked_levels
 from nmt_diagnose.observations.observables import Natural, Part, parts_where, with_natural
+from nmt_diagnose.prediction.rig_parts import same_motion
 from nmt_diagnose.thresholds import THRESHOLDS
+from nmt_rig.rig import Rig
 
 _PERCENT = 100.0
 _SENSORS = ("response_sensor", "force_sensor")
@@ -303,13 +305,22 @@ def beside_simpler(
 def is_demanded(found: FittedExplanation, null: FittedExplanation) -> bool:
     """Whether the evidence demands the effects of an explanation, however little these change.
 
-    What a sensor adds that does not matter is a question of its calibration and never demanded.
+    What a sensor adds to its channel and not to the motion is a question of its calibration and never demanded.
     """
-    if any(candidate.site.location.kind in _SENSORS for candidate in found.candidates):
+    sensors = [k for k, candidate in enumerate(found.candidates) if candidate.site.location.kind in _SENSORS]
+    rig = found.fit.parametrisation.rig(found.fit.theta) if sensors else None
+    if rig is not None and any(same_motion(rig, _without(found, number)) for number in sensors):
         return False
     needs = (found.beside.get(number, Facts(left_without=0.0)) for number in range(len(found.candidates)))
     surely = found.fit.log_evidence - null.fit.log_evidence >= THRESHOLDS.verdict.sure_log_evidence
     return surely and all(pass_all((NEEDED, WITHIN), facts) for facts in needs)
+
+
+def _without(found: FittedExplanation, number: int) -> Rig:
+    """The rig of an explanation with one of its effects at zero strength."""
+    theta, selected = found.fit.theta.copy(), found.fit.parametrisation.index_of(number)
+    theta[selected] = at_zero(found.candidates[number], theta[selected])
+    return found.fit.parametrisation.rig(theta)
 
 
 def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
@@ -65,8 +65,12 @@ def ranked_rows(
 
 
 def too_small_row(
-    data: Data, null: FittedExplanation, named: Sequence[FittedExplanation], comparison: Comparison
-) -> Ranked | None:
+    data: Data,
+    null: FittedExplanation,
+    named: Sequence[FittedExplanation],
+    comparison: Comparison,
+    close: Callable[[FittedExplanation], ClosedShare],
+) -> tuple[Ranked, float] | None:
     """An effect that the recordings demand and that changes less than what matters; None where there is none.
 
     Args:
@@ -74,24 +78,33 @@ def too_small_row(
         null: the model alone.
         named: explanations, among them those that these recordings do not tell from it.
         comparison: of them.
+        close: how much of the gap an explanation closes on held-out data.
+
+    Returns:
+        The effect, and what it leaves of held-out data, rms over σ; NaN where no split tells it.
     """
     small = comparison.small
     if small is None or not is_demanded(small, null):
         return None
     explanation = small.fitted
     least = small.fit.log_evidence + math.log(THRESHOLDS.verdict.as_likely_share)
-    alike = dict.fromkeys(it.fitted.effects for it in named if not it.stated and it.fit.log_evidence > least)
-    return Ranked(
+    near = [it for it in named if not it.stated and it.fit.log_evidence > least]
+    effects = {it.fitted.effects for it in (small, *near)}
+    # With one effect more than another that they do not tell from it an explanation says nothing new.
+    alike = [it for it in effects if not any(set(other) < set(it) for other in effects) and it != explanation.effects]
+    share = close(small)
+    row = Ranked(
         effect=joined(cause.effect for cause in explanation.causes),
         place=explanation.kinds,
         detail=joined(location.detail for location in explanation.locations if location.detail),
         probability=comparison.small_probability,
-        equivalents=tuple(joined(effects) for effects in alike if effects != explanation.effects),
+        equivalents=tuple(sorted(map(joined, alike))),
         parameters=parameters(data, small),
-        closed=Share(*[math.nan] * 3),
+        closed=Share(share.value, share.low, share.high),
         sigmas=small.sigmas,
         converged=small.fit.converged,
     )
+    return row, share.after
 
 
 def covariance_with_scale(data: Data, found: FittedExplanation) -> FloatArray:

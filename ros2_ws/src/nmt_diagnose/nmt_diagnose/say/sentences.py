@@ -63,12 +63,15 @@ def sentences(
             if moved
             else "he model's own parameters need no change either."
         )
+        far = f"{gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the noise allows."
+        if small:
+            far = f"{gap.after:.2f} standard deviations (rms) from the model with it, and {far.replace('the model', 'the model as given')}"
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain."
             if gap.as_given <= THRESHOLDS.verdict.left_over_scale and not small
             else "There is no gap that matters: what is beyond the noise is smaller than that.",
             f"{small} T{own_parameters}" if small else f"No unmodelled effect is claimed; t{own_parameters}",
-            f"{which} lie {gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the noise allows.",
+            f"{which} lie {far}",
         )
     if verdict is Verdict.CALIBRATION:
         return (

@@ -559,10 +559,11 @@ class Search:
             for first in starts_of(candidate)[:1]
         ]
         left = modes.promises(parametrisation, theta, begun)
-        found = []
-        for number in np.argsort(left)[: THRESHOLDS.search.first_effects * THRESHOLDS.search.first_locations]:
-            wider, values = begun[number]
-            found.append(self.best(wider, [Start(StartName.MODES, modes.start(wider, values)[0])], widen=True))
+        most = THRESHOLDS.search.first_effects * THRESHOLDS.search.first_locations
+        promising = [begun[number] for number in np.argsort(left)[:most] if math.isfinite(left[number])]
+        solved = [(wider, *modes.start(wider, values)) for wider, values in promising]
+        solved.sort(key=lambda it: it[2])
+        found = [self.best(wider, [Start(StartName.MODES, values)], widen=True) for wider, values, _ in solved]
         return best_of([explanation for explanation in found if explanation is not None])
 
     def leaves_noise_only(self, found: FittedExplanation) -> bool:

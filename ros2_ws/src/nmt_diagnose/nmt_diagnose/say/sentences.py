@@ -63,15 +63,16 @@ def sentences(
             if moved
             else "he model's own parameters need no change either."
         )
-        far = f"{gap.as_given:.2f} standard deviations (rms) from the model; 1 is what the noise allows."
+        model = "the model"
         if small:
-            far = f"{gap.after:.2f} standard deviations (rms) from the model with it, and {far.replace('the model', 'the model as given')}"
+            model = f"the model with it and {gap.as_given:.2f} from the model as given"
+        far = gap.after if small else gap.as_given
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain."
             if gap.as_given <= THRESHOLDS.verdict.left_over_scale and not small
             else "There is no gap that matters: what is beyond the noise is smaller than that.",
             f"{small} T{own_parameters}" if small else f"No unmodelled effect is claimed; t{own_parameters}",
-            f"{which} lie {far}",
+            f"{which} lie {far:.2f} standard deviations (rms) from {model}; 1 is what the noise allows.",
         )
     if verdict is Verdict.CALIBRATION:
         return (

@@ -91,17 +91,18 @@ def place_table(diagnosis: Diagnosis) -> Table | None:
     return table
 
 
-def calibration_table(diagnosis: Diagnosis) -> Table | None:
-    """Parameters of the model that moved by more than twice their uncertainty."""
+def calibration_table(diagnosis: Diagnosis, every: bool = False) -> Table | None:
+    """Parameters of the model that moved by more than twice their uncertainty, the surest few or ``every`` one."""
     moved = [item for item in diagnosis.calibration if abs(item.sigmas) > _MOVED]
     if not moved or diagnosis.verdict is Verdict.NONE:
         return None
+    moved = sorted(moved, key=lambda item: -abs(item.sigmas))[: None if every else _RANKED]
     table = _new("Parameters of the model that moved (the others are in the report)")
     table.add_column("key")
     table.add_column("from", justify="right", no_wrap=True)
     table.add_column("to", justify="right", no_wrap=True)
     table.add_column("change\n%", justify="right", no_wrap=True)
-    for item in sorted(moved, key=lambda entry: -abs(entry.sigmas)):
+    for item in moved:
         change = 100.0 * (item.to / item.start - 1.0) if item.start else math.nan
         table.add_row(
             Text(item.name), value_text(item.start, math.nan, item.unit), value_text(item.to, item.std, item.unit),
@@ -153,6 +154,16 @@ def visible_table(diagnosis: Diagnosis) -> Table | None:
             Text(parameters_text(item.parameters)),
         )  # fmt: skip
     return table
+
+
+def visible_sentence(diagnosis: Diagnosis) -> str:
+    """How many effects these recordings would show, with the first as an example."""
+    item, count = diagnosis.visible[0], len(diagnosis.visible)
+    example = f"{effect_text(item.effect)} from {parameters_text(item.parameters)}"
+    return (
+        f"These recordings would show {count} effect{'s' * (count > 1)}, such as {example} at "
+        f"{place_text(item.place, item.detail)}; the report and --verbose list the weakest of each."
+    )
 
 
 def _new(title: str) -> Table:

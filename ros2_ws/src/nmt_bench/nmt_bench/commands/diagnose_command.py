@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from nmt_rig.rig import Rig
 
 DIAGNOSIS = "diagnosis.json"
+_NOTES = 3
+"""Notes that the terminal shows."""
 
 
 def run(options: DiagnoseOptions) -> int:
@@ -88,7 +90,7 @@ def run(options: DiagnoseOptions) -> int:
         progress.update("writing the report")
         with OutputFolder(options.out, options.force) as folder:
             remark = write_diagnosis(outcome, folder, options.model, options.set, options.floor)
-    show(outcome.diagnosis, console)
+    show(outcome.diagnosis, console, options.verbose)
     show_why(outcome.diagnosis.to_mapping(), options.why, console)
     if remark:
         console.print(remark, style="yellow", soft_wrap=True)
@@ -191,8 +193,8 @@ def diagnose_group(
     return EXIT_DONE
 
 
-def show(diagnosis: Diagnosis, console: Console) -> None:
-    """Print the verdict, the places, the ranking, what was re-fitted and the next test."""
+def show(diagnosis: Diagnosis, console: Console, verbose: bool = False) -> None:
+    """Print the verdict, the places, the ranking, what was re-fitted and the next test; ``verbose``: every table."""
     from rich.text import Text
 
     from nmt_report.diagnosis_tables import (
@@ -201,6 +203,7 @@ def show(diagnosis: Diagnosis, console: Console) -> None:
         place_table,
         ranking_table,
         recordings_table,
+        visible_sentence,
         visible_table,
     )
     from nmt_report.diagnosis_words import QUESTIONS, verdict_text
@@ -215,10 +218,17 @@ def show(diagnosis: Diagnosis, console: Console) -> None:
         console.print(Text.assemble((f"{question:<10}", "bold"), sentence), soft_wrap=not console.is_terminal)
     console.print()
     for table in (
-        ranking_table(diagnosis), place_table(diagnosis), calibration_table(diagnosis), next_table(diagnosis),
-        recordings_table(diagnosis), visible_table(diagnosis),
+        ranking_table(diagnosis), place_table(diagnosis), calibration_table(diagnosis, verbose),
+        next_table(diagnosis), recordings_table(diagnosis) if verbose else None,
+        visible_table(diagnosis) if verbose else None,
     ):  # fmt: skip
         if table is not None:
             console.print(table)
-    for note in diagnosis.notes:
+    if diagnosis.visible and not verbose:
+        console.print(Text(visible_sentence(diagnosis)), soft_wrap=True)
+    notes = diagnosis.notes if verbose else diagnosis.notes[:_NOTES]
+    for note in notes:
         console.print(Text(note, style="yellow"), soft_wrap=True)
+    if len(notes) < len(diagnosis.notes):
+        more = f"{len(diagnosis.notes) - len(notes)} more notes stand in the report; --verbose prints them."
+        console.print(Text(more, style="yellow"), soft_wrap=True)

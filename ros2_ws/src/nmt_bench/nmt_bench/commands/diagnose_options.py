@@ -76,6 +76,7 @@ class DiagnoseOptions:
     )
     jobs: int | None = jobs_option()
     quiet: bool = option(False, "no progress display")
+    verbose: bool = option(False, "all tables and notes of the report in the terminal, too")
 
 
 class DiagnosisProgress:

@@ -66,13 +66,13 @@ def sentences(
         model = "the model"
         if small:
             model = f"the model with it and {gap.as_given:.2f} from the model as given"
-        far = gap.after if small else gap.as_given
+        distance = gap.after if small else gap.as_given
         return (
             "There is no gap that the noise and the repeatability of these tests could not explain."
             if gap.as_given <= THRESHOLDS.verdict.left_over_scale and not small
             else "There is no gap that matters: what is beyond the noise is smaller than that.",
             f"{small} T{own_parameters}" if small else f"No unmodelled effect is claimed; t{own_parameters}",
-            f"{which} lie {far:.2f} standard deviations (rms) from {model}; 1 is what the noise allows.",
+            f"{which} lie {distance:.2f} standard deviations (rms) from {model}; 1 is what the noise allows.",
         )
     if verdict is Verdict.CALIBRATION:
         return (

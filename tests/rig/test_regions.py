@@ -89,6 +89,16 @@ def test_a_change_of_a_region_is_that_of_the_full_model(model, change, truth):
     np.testing.assert_allclose(frequencies(model, f"structure.regions.{change}"), exact, rtol=rtol)
 
 
+@pytest.mark.parametrize("softer", [4.0, 16.0, 64.0])
+def test_a_clamp_that_turns_is_that_of_the_full_model_however_soft(model, softer):
+    """Up to three quarters of the first frequency are lost; what is left is right to 0.1 %."""
+    compliance = softer * PLATE.compliance
+    exact, before = full(kind=plates.BOUNDARY, compliance=compliance), full(kind=plates.HEALTHY)
+    assert exact[0] < (1.0 - 0.1 * np.log2(softer)) * before[0]
+    found = frequencies(model, f"structure.regions.clamp.rotational_compliance_rad_nm={compliance}")
+    np.testing.assert_allclose(found, exact, rtol=1e-3)
+
+
 SLOPES = {
     "stiffness": ("patch2.stiffness_factor", plates.STIFFNESS, {"at": 2}),
     "mass": ("patch1.mass_factor", plates.MASS, {"at": 1}),

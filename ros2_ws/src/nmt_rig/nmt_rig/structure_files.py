@@ -32,7 +32,7 @@ _LARGEST_CONDENSED = 2000
 # The reduction of smaller files takes less time than a node's start.
 _SMALL_FILE = 2**18
 # Changes where the reduction gives other numbers for the same files.
-_REDUCTION = "6"
+_REDUCTION = "7"
 _FILE_KEYS = ("file", "mass_file", "stiffness_file", "damping_file", "rows_file", "nodes_file")
 _DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 _MATRIX_KEYS = ("mass_kg", "stiffness_n_m", "damping_ns_m")

@@ -6,6 +6,7 @@ of them does not follow from the assembled matrices. Mass needs no file: what mo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +17,7 @@ from scipy import sparse
 from scipy.linalg import eigh
 from scipy.sparse.linalg import splu
 
+from nmt_core.numerics.arrays import FloatArray
 from nmt_rig.model.matrix_structure import Matrices, craig_bampton
 
 Rows = NDArray[np.int64]
@@ -112,6 +114,33 @@ def spread_of(mass: Any, rows: Rows, labels: Rows, others: Rows, other_labels: R
     return sparse.csc_matrix(sparse.block_diag(parts))[order][:, order] if parts else sparse.csc_matrix((0, 0))
 
 
+def _scaled(motions: Any, springs: Any) -> Any:
+    """Motions of a support, (rows, k), over the root of the largest energy of its springs."""
+    largest = float(np.max(np.einsum("rk,rk->k", motions, springs @ motions)))
+    return motions / math.sqrt(largest) if largest > 0.0 else motions
+
+
+def _soft(stiffness: Any, free: Rows, rows: Rows, springs: Any, reactions: Any, squares: FloatArray) -> Any:
+    """Static motions (rows, k) of a support by reactions (rows, k), its springs so soft that a mode loses half its ω².
+
+    Args:
+        stiffness: of the full structure.
+        free: rows that no support holds.
+        rows: of this support.
+        springs: between them.
+        reactions: of modes of the held structure, mass-normalised, each over its ω².
+        squares: ω² of these, (k,).
+    """
+    # To first order compliances c S⁻¹ take c ω⁴ r·S⁻¹r of the ω² of a mode.
+    losses = np.einsum("rk,rk->k", reactions, splu(springs).solve(reactions))
+    mode = int(np.argmax(losses))
+    softness = 0.5 / float(squares[mode] * losses[mode])
+    every = np.concatenate([free, rows])
+    held = sparse.block_diag([sparse.csr_matrix((free.size, free.size)), springs / softness])
+    loads = np.vstack([np.zeros((free.size, reactions.shape[1])), reactions])
+    return splu(sparse.csc_matrix(stiffness[every][:, every] + held)).solve(loads)[free.size :]
+
+
 def supported(matrices: Matrices, kept: Sequence[int], modes: int, supports: Sequence[Support]) -> Supported:
     """The structure with its supports elastic in the patterns that their reactions have.
 
@@ -142,10 +171,17 @@ def supported(matrices: Matrices, kept: Sequence[int], modes: int, supports: Seq
             if not rows.size:
                 continue
             reactions = np.asarray(stiffness[rows][:, free] @ lowest)
-            gives = splu(sparse.csc_matrix(springs)).solve(reactions)
-            energies, combined = eigh(reactions.T @ gives)
+            springs = sparse.csc_matrix(springs)
+            gives = splu(springs).solve(reactions)
+            motions = np.hstack(
+                [
+                    _scaled(each, springs)
+                    for each in (gives, _soft(stiffness, free, rows, springs, reactions, squares[:_REACTIONS]))
+                ]
+            )
+            energies, combined = eigh(motions.T @ (springs @ motions))
             kept_patterns = energies > _SMALLEST**2 * energies[-1]
-            directions = gives @ (combined[:, kept_patterns] / np.sqrt(energies[kept_patterns]))
+            directions = motions @ (combined[:, kept_patterns] / np.sqrt(energies[kept_patterns]))
             pattern = np.zeros((matrices.size, directions.shape[1]))
             pattern[rows] = directions
             columns.append(pattern)

@@ -342,62 +342,25 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
 
 
 def message_table(name: str) -> str:
-    """Fields and constants of a message, service or action as Markdown lists.
+    """What a message, service or action is, its fields by name, and its file, which says their units and meanings.
 
     Args:
         name: path below nmt_msgs, for example ``msg/Drive.msg``.
     """
-    parts = (MESSAGES / name).read_text(encoding="utf-8").split("\n---\n")
-    titles = {".action": ("Goal", "Result", "Feedback"), ".srv": ("Request", "Response")}.get(Path(name).suffix, ("",))
-    known = {} if name == LEVEL else _message_lines((MESSAGES / LEVEL).read_text(encoding="utf-8"))
-    return "\n\n".join(
-        (f"**{title}**\n\n" if title else "") + _message_part(part, known)
-        for title, part in zip(titles, parts, strict=True)
-    )
-
-
-LEVEL = "msg/Level.msg"
-"""Other messages repeat its constants and fields."""
-
-
-def _message_lines(text: str) -> dict[tuple[str, str], str]:
-    """Comment of each field (type, name) and constant (name, value)."""
-    lines = {}
-    for line in text.strip().splitlines():
-        code, _, comment = (piece.strip() for piece in line.partition("#"))
-        if code:
-            kind, content = code.split(None, 1)
-            label, equals, value = (piece.strip() for piece in content.partition("="))
-            lines[(label, value) if equals else (kind, content)] = comment
-    return lines
-
-
-def _message_part(text: str, known: dict[tuple[str, str], str]) -> str:
+    text = (MESSAGES / name).read_text(encoding="utf-8")
     heading = []
     for line in text.strip().splitlines():
         if not line.startswith("#"):
             break
         heading.append(line.removeprefix("#").strip())
-    lines = _message_lines(text)
-    constants, rows, repeated = [], [], []
-    for (label, value), comment in lines.items():
-        if label.isupper():
-            if (label, value) in known:
-                repeated.append(f"`{label.partition('_')[0]}_…`")
-            else:
-                constants.append(f"`{label}` = {value}" + (f" ({comment})" if comment else ""))
-        elif known.get((label, value)) == comment:
-            repeated.append(f"`{value}`")
-        else:
-            rows.append(f"* `{label} {value}`" + (f": {comment}" if comment else ""))
-    blocks = [" ".join(heading)] if heading else []
-    if constants:  # first, as in the file: comments speak of "the constants above"
-        blocks.append("Constants: " + ", ".join(constants) + ".")
-    if repeated:
-        rows.append(f"* as in [Level](#level): {', '.join(dict.fromkeys(repeated))}")
-    if rows:
-        blocks.append("\n".join(rows))
-    return "\n\n".join(blocks)
+    titles = {".action": ("Goal", "Result", "Feedback"), ".srv": ("Request", "Response")}.get(Path(name).suffix, ("",))
+    fields = []
+    for title, part in zip(titles, text.split("\n---\n"), strict=True):
+        codes = [line.partition("#")[0].strip() for line in part.splitlines()]
+        names = [f"`{code.split()[1]}`" for code in codes if code and "=" not in code]
+        fields.append(f"{title or 'Fields'}: {', '.join(names) or 'nothing'}.")
+    where = f"Types, units and constants: [{Path(name).name}](../../ros2_ws/src/nmt_msgs/{name})."
+    return "\n\n".join(filter(None, (" ".join(heading), " ".join(fields), where)))
 
 
 def parameters_table(name: str) -> str:
@@ -461,9 +424,21 @@ def _section_table(model: Any, base: Any, meanings: dict[str, str]) -> str:
             continue
         kind, bounds = _type_and_range(key, field)
         value = field.get_default(call_default_factory=True)
-        facts = (kind, _unit(key), bounds, "required" if field.is_required() else _default(value))
-        lines.append(f"* `{key}` ({', '.join(filter(None, facts))}): {meanings[key].replace('``', '`')}")
+        facts = _facts(kind, _unit(key), bounds, "required" if field.is_required() else _default(value))
+        lines.append(f"* `{key}`{facts}: {meanings[key].replace('``', '`')}")
     return "\n".join(lines)
+
+
+def _facts(kind: str, unit: str, bounds: str, default: str) -> str:
+    """In parentheses; what most keys are, an optional number without a default, is not said."""
+    facts = [
+        kind if kind != "number" else "",
+        unit,
+        bounds,
+        default if default not in ("none", "empty", "as in the section") else "",
+    ]
+    words = ", ".join(filter(None, facts))
+    return f" ({words})" if words else ""
 
 
 def _attributes(model: Any) -> dict[str, str]:
@@ -489,7 +464,7 @@ def keys_table(name: str) -> str:
             kinds, bounds = _type_and_range(key, fields[key])
             value = fields[key].get_default(call_default_factory=True)
             default = "required" if fields[key].is_required() else _default(value)
-            facts = f" ({', '.join(filter(None, (kinds, bounds, default)))})"
+            facts = _facts(kinds, "", bounds, default)
         lines.append(f"* `{key}`{facts}: {meaning.replace('``', '`')}")
     return "\n".join(lines)
 
@@ -565,12 +540,13 @@ _DEFAULT_FOLDER = r"; made if it does not exist \(default: out/[a-z]+-DATE-TIME\
 def python_table(package: str) -> str:
     """Public names of a package, where each is defined, and the first sentence of its docstring."""
     module = importlib.import_module(package)
-    lines = ["| name | defined in | what it is |", "|---|---|---|"]
+    lines = []
     for name in module.__all__:
         value = getattr(module, name)
         first = (value.__doc__ or "").strip().partition("\n\n")[0]
         sentence = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", " ".join(first.replace("``", "`").split()))
-        lines.append(f"| `{package}.{name}` | `{value.__module__}.{value.__qualname__}` | {_cell(sentence)} |")
+        sentence = re.split(r"(?<=\w)[.;:] ", sentence)[0].removesuffix(".")
+        lines.append(f"* `{package}.{name}` (`{value.__module__}.{value.__qualname__}`): {sentence}")
     return "\n".join(lines)
 
 
@@ -578,8 +554,7 @@ def effects_table(place: str) -> str:
     """Effects of the diagnosis at one place."""
     from nmt_diagnose.effects.library import library
 
-    lines = ["| effect | term | keys of the rig file | parameters | looks like (distinguished by) | source |"]
-    lines.append("|---|---|---|---|---|---|")
+    lines = []
     for effect in library():
         if effect.place != place:
             continue
@@ -588,10 +563,12 @@ def effects_table(place: str) -> str:
             starts = f", starts at {', '.join(f'{value:g}' for value in p.grid)} scales" if p.grid else ""
             sign = "" if p.kind == "shape" or p.signed else ", ≥ 0"
             parameters.append(f"`{p.name}` ({p.unit}; {p.kind}{sign}{starts})")
-        alike = "; ".join(f"`{name}` ({test})" for name, test in effect.equivalents.items()) or "–"
+        alike = "; ".join(f"`{name}` ({test})" for name, test in effect.equivalents.items())
         keys = ", ".join(f"`{key}`" for key in effect.keys.split(", "))
-        cells = (f"`{effect.name}`", effect.equation, keys, ", ".join(parameters), alike, effect.reference)
-        lines.append("| " + " | ".join(_cell(cell) for cell in cells) + " |")
+        equal = f" Like {alike}." if alike else ""
+        lines.append(
+            f"* `{effect.name}`: {effect.equation}; {keys}; {', '.join(parameters)}.{equal} *{effect.reference}*"
+        )
     return "\n".join(lines)
 
 
@@ -599,7 +576,10 @@ def priors_table(name: str) -> str:
     """Priors of the calibration parameters."""
     from nmt_core.tolerances import MODEL_PRIORS
 
-    return "\n".join(f"* `{key}` ± {100 * std:g} %: {reason}" for key, (std, reason) in MODEL_PRIORS.items())
+    keys: dict[tuple[float, str], list[str]] = {}
+    for key, prior in MODEL_PRIORS.items():
+        keys.setdefault((prior.std, prior.reason), []).append(f"`{key}`")
+    return "\n".join(f"* {', '.join(names)} ± {100 * std:g} %: {reason}" for (std, reason), names in keys.items())
 
 
 def quantities_table(name: str) -> str:

@@ -15,7 +15,7 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 NAMES_PAGE = "reference/python.md"
 REGION = re.compile(r"<!-- generated: python (\w+) -->\n(.*?)<!-- end -->", re.S)
-ROW = re.compile(r"^\| `([\w.]+)` \| `([\w.]+)` \|", re.M)
+ROW = re.compile(r"^\* `([\w.]+)` \(`([\w.]+)`\)", re.M)
 LINK = re.compile(r"(!?\[[^\]]*\]\()((?:\.\./)+[^()\s#]+)")
 ROLE = re.compile(r":(?:mod|func|class|meth|data|attr):(?=<code>)")
 
@@ -41,7 +41,7 @@ def linked_names(text: str) -> str:
     def linked(region: re.Match[str]) -> str:
         package = region[1]
         return ROW.sub(
-            lambda row: f"| [`{row[1]}`](../api/{package}.md#{row[1].replace('.', '').lower()}) | `{row[2]}` |",
+            lambda row: f"* [`{row[1]}`](../api/{package}.md#{row[1].replace('.', '').lower()}) (`{row[2]}`)",
             region[0],
         )
 

@@ -21,6 +21,7 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import load_rig
 
 HOW_TO = Path(__file__).resolve().parents[2] / "docs" / "how-to"
+EXAMPLES = HOW_TO.parents[1] / "examples"
 HZ, RATIO, CUBIC, TOP = 133.1, 0.0035, 1.7e12, 6e-4
 OMEGA = 2.0 * math.pi * HZ
 
@@ -73,13 +74,10 @@ def test_the_files_of_the_one_mode_model_read_a_frequency_response(tmp_path: Pat
     assert np.abs(left).max() < 1e-6
 
 
-def test_the_example_of_responses_at_levels_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (HOW_TO / "frequency-responses-at-levels.md").read_text(encoding="utf-8")
-    start = page.index("```python\n") + len("```python\n")
-    monkeypatch.chdir(tmp_path)
-    exec(compile(page[start : page.index("```", start)], "example", "exec"), {})
-    import_data(Path("sidecar.yaml"), Path("sweeps"))
-    found = diagnose_bags("one_mode.yaml", [Path("sweeps")], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+def test_the_example_of_responses_at_levels_is_named(tmp_path: Path) -> None:
+    import_data(EXAMPLES / "bench" / "measured.yaml", tmp_path / "sweeps")
+    model = EXAMPLES / "bench" / "one_mode.yaml"
+    found = diagnose_bags(model, [tmp_path / "sweeps"], settings=DiagnosisSettings(look_ahead=False)).diagnosis
     assert (found.verdict, found.ranking[0].effect) == (Verdict.EFFECT, "cubic_stiffness")
     k = found.ranking[0].parameters["k"]
     assert abs(k.value - 2.4e9) < 2.0 * k.std < 0.1 * k.value

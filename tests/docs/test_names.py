@@ -1,4 +1,7 @@
-"""Names that say nothing of what they hold are refused; rooms that still have some may not get more."""
+"""Names that say nothing of what they hold, and words that say little, are refused.
+
+Rooms that still have such names may not get more.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,13 @@ STILL = {
     "nmt_record": 76, "nmt_report": 54, "nmt_rig": 66, "nmt_sequencer": 14, "nmt_session": 12, "nmt_signals": 1,
     "tests": 520, "campaigns": 50, "docs": 3,
 }  # fmt: skip
+
+
+NOT_USED = re.compile(
+    r"\b(?:beside|nobody|(?:is|are) told|is no(?= \w)|of what|what is left|looked for|what is believed)\b",
+    re.IGNORECASE,
+)
+"""Phrases that documents do not use; a sentence says which thing it means."""
 
 
 @cache
@@ -84,3 +94,14 @@ def test_no_room_gets_more_names_that_say_nothing() -> None:
                 locations[:5],
             )
     assert not more, f"rename them to what they hold (docs/reference/vocabulary.md): {more}"
+
+
+def test_documents_say_which_thing_they_mean() -> None:
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    used = [
+        f"{page.relative_to(ROOT)}:{number} {phrase[0]}"
+        for page in pages
+        for number, line in enumerate(page.read_text(encoding="utf-8").splitlines(), 1)
+        for phrase in NOT_USED.finditer(line)
+    ]
+    assert not used, f"say it in the words of docs/reference/vocabulary.md: {used}"

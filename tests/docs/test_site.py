@@ -41,7 +41,7 @@ def test_every_public_name_has_a_docstring_on_the_site(package: tuple[str, str])
 
 def test_names_lead_to_their_pages() -> None:
     linked = site_hooks.linked_names(NAMES)
-    assert "| [`nmt.import_data`](../api/nmt.md#nmtimport_data) | `nmt_bench.data_import.import_data` |" in linked
+    assert "* [`nmt.import_data`](../api/nmt.md#nmtimport_data) (`nmt_bench.data_import.import_data`)" in linked
     assert not site_hooks.ROW.search(linked)
 
 

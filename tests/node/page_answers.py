@@ -509,13 +509,6 @@ ANSWERS: dict[str, dict[str, Answer]] = {
             tested_by="rig/test_finite_element_page.py::test_the_page_makes_a_rig_of_a_strip"
         ),
     },
-    "docs/how-to/frequency-responses-at-levels.md": {
-        line: Answer(tested_by="diagnose/test_how_to_pages.py::test_the_example_of_responses_at_levels_is_named")
-        for line in (
-            "./nmt import sidecar.yaml --out out/sweeps",
-            "./nmt diagnose --model one_mode.yaml --real out/sweeps/bag --out out/diagnosis",
-        )
-    },
     "docs/how-to/impact-hammer.md": {
         "./nmt import tap.yaml --out tap": Answer(
             tested_by="diagnose/test_how_to_pages.py::test_the_files_of_the_page_read_a_tap"

@@ -433,7 +433,7 @@ def test_each_fault_of_a_log_is_one_sentence(tmp_path: Path) -> None:
     for changed, sidecar, words in (
         ({"position": huge}, head + body, "no possible value (1e+300 in SI units) in row 8"),
         ({"position": hole}, head + body, "no number in row 10"),
-        ({"torque": 0.0 * case.torque}, head + body, "is the same in all rows, so it is no reading"),
+        ({"torque": 0.0 * case.torque}, head + body, "is the same in all rows, so it is not a reading"),
         ({"position": 0.0 * case.position + 0.3}, head + body, "no joint moves"),
         ({"time": case.time * np.nan}, head + body, "no number in row 1"),
         ({}, head.replace(case.joints[1], case.joints[0], 1) + body, f"names the joint {case.joints[0]} twice"),

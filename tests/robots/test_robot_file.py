@@ -299,7 +299,7 @@ HOSTILE = {
     "<worldbody><replicate count='100000000'><geom size='1'/></replicate></worldbody>": "<replicate>",
     "<worldbody><flexcomp type='grid' count='999 999 999' name='f'/></worldbody>": "<flexcomp>",
     "<worldbody><composite type='cable' count='100000 1 1'/></worldbody>": "<composite>",
-    "<worldbody><body pos='nan 0 0'><joint/></body></worldbody>": "pos of <body>: nan is no number",
+    "<worldbody><body pos='nan 0 0'><joint/></body></worldbody>": "pos of <body>: nan is not a number",
     "<option gravity='0 0 -inf'/>": "gravity of <option>",
     "<worldbody><body pos='1e308 0 0'><joint/></body></worldbody>": "is beyond every robot",
     "<worldbody><body><inertial pos='0 0 0' mass='1e300' diaginertia='1 1 1'/></body></worldbody>": "is beyond every",

@@ -98,7 +98,7 @@ def test_nothing_is_named_beside_a_clock_that_is_off(tmp_path: Path, monkeypatch
     monkeypatch.setattr(robot_diagnosis, "_understood", _plain_reading(robot_diagnosis._understood))
     (joint,) = diagnosed(tmp_path, log_behind(70.0, 0.0, 0.2)).joints
     assert not joint.differs
-    assert "is not told beside the log's fault" in joint.remains
+    assert "is not reported with the log's fault" in joint.remains
 
 
 def _plain_reading(understood: Any) -> Any:

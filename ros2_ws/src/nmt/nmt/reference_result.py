@@ -26,7 +26,7 @@ class ReferenceResult(Results):
 
     Attributes:
         curve: ω̃ and δ̃ over q.
-        shapes: φ̃ₙ beside it; None where there is no ``shapes.csv``.
+        shapes: φ̃ₙ next to it; None where there is no ``shapes.csv``.
     """
 
     curve: ReferenceCurve
@@ -78,7 +78,7 @@ class ReferenceResult(Results):
         """The curve over modal amplitude; ``y``: ``frequency_hz``, ``omega_rad_s`` or ``damping_ratio``.
 
         Raises:
-            BenchError: there is no such property.
+            BenchError: no such property exists.
         """
         rows = self.rows()
         if y not in rows[0]:
@@ -100,7 +100,7 @@ def _read_shapes(path: Path, amplitudes: FloatArray) -> PointShapes:
     rows = np.lexsort((table["point"], table["order"], table["modal_amplitude"]))
     expected = np.repeat(amplitudes, orders.size * points.size)
     if expected.size != rows.size or not np.allclose(table["modal_amplitude"][rows], expected, rtol=1e-9, atol=0.0):
-        raise BenchError(f"{path} does not fit reference.csv beside it; compute both again with './nmt reference'.")
+        raise BenchError(f"{path} does not fit reference.csv next to it; compute both again with './nmt reference'.")
     values = (table["real"] + 1j * table["imaginary"])[rows].reshape(amplitudes.size, orders.size, points.size)
     return PointShapes(tuple(map(int, points)), tuple(map(int, orders)), values)
 

@@ -276,7 +276,7 @@ class RunResults(Results):
                     ``<name>_repeatability``.
 
             Raises:
-                BenchError: there is no such property.
+                BenchError: no such property exists.
 
         Examples:
             >>> run = nmt.open("out/demo")
@@ -364,7 +364,7 @@ class RunResults(Results):
                 The axes.
 
             Raises:
-                BenchError: there is no such property.
+                BenchError: no such property exists.
 
         Examples:
             >>> nmt.open("out/demo").plot("damping_ratio").get_ylabel()
@@ -390,7 +390,7 @@ class LinearResult(Results):
     Attributes:
         description: fitted modes and the drive point, as loop and extraction use them.
         document: everything in ``linear.json``.
-        responses: frequency responses beside it; empty where there is no ``frf.csv``.
+        responses: frequency responses next to it; empty where there is no ``frf.csv``.
     """
 
     description: LinearDescription
@@ -561,7 +561,7 @@ class FrequencyResponses(Results):
             style: of :meth:`matplotlib.axes.Axes.semilogy`.
 
         Raises:
-            BenchError: there is no such channel.
+            BenchError: no such channel exists.
         """
         drawn = _axes(axes)
         for table in self.levels:

@@ -60,7 +60,7 @@ class TableResult(Results):
         """One column of numbers over another; left out = the last one over the first.
 
         Raises:
-            BenchError: there is no such column of numbers.
+            BenchError: no such column exists of numbers.
         """
         numbers = [name for name, value in (self.table[0] if self.table else {}).items() if isinstance(value, float)]
         if not numbers or not {x, y} <= {"", *numbers}:

@@ -142,7 +142,7 @@ def build_parser(*wanted: str | None, further: Mapping[str, str] | None = None) 
 
     Args:
         *wanted: the commands whose options are wanted; the others get their line of help only. Where all are the
-            bench's own the others are not looked for.
+            bench's own the others are not searched for.
         further: lines of help of the other packages' commands; None = as installed.
 
     Raises:
@@ -198,14 +198,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status
     except BrokenPipeError:
-        # The reader of our output has gone (``| head``): nobody is left to tell. Python would complain at
+        # The reader of our output has gone (``| head``): the output has no reader left. Python would complain at
         # exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_FAILED
 
 
 class _End:
-    """How a command ended, beside its exit code.
+    """How a command ended, next to its exit code.
 
     Attributes:
         arguments: as parsed; None where they were refused.
@@ -336,7 +336,7 @@ def _missing_module(name: str) -> str:
     if library in _ROS_MODULES:
         return (
             f"This starts ROS 2 nodes and '{library}' is not installed; use './nmt' of a clone, which brings ROS 2, or "
-            "a workspace built and sourced beside ROS 2 Jazzy."
+            "a workspace built and sourced next to ROS 2 Jazzy."
         )
     if library == "distributed":
         return "'distributed' is not installed; type in a clone of the bench: pip install '.[dask]'."

@@ -31,7 +31,7 @@ class CommandParser(argparse.ArgumentParser):
     _words: Sequence[str] = ()
 
     def error(self, message: str) -> NoReturn:
-        """Say what is wrong and end; an option that does not exist is the first cause of what else is wrong.
+        """Say what is wrong and end; an option that does not exist is the first cause of other errors.
 
         Raises:
             Refusal: always.

@@ -22,7 +22,7 @@ CONSUMERS: dict[str, str] = {
 }
 """Module with the function ``covers`` of each consumer; the first says what can be done at all.
 
-Judgement, export and import, and page refuse nothing of what can be done: `tests/matrix` holds each kind, exciter and
+Judgement, export and import, and page refuse no possible test: `tests/matrix` holds each kind, exciter and
 drive against them. The page shows recordings as it shows a run; a pause and going on are the sequencer's, of any test.
 """
 

@@ -24,7 +24,7 @@ def import_data(sidecar: Path | str, bag: Path | str) -> ImportedRun:
     """Read and check data measured elsewhere, and write them as a bag.
 
     Args:
-        sidecar: YAML file that says what the columns of the data are; the data lie beside it.
+        sidecar: YAML file that says what the columns of the data are; the data lie next to it.
         bag: folder of the bag; must not exist yet.
 
     Returns:

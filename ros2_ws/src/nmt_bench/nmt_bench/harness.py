@@ -245,7 +245,7 @@ class Bench:
         with deferred_interrupts() as deferred:
             if lost and lost != "plant":
                 self.spin_while(lambda: not self.client.drive_is_at_zero, 3.0)
-            obituary = self._obituary(lost)  # before what is left of the nodes is ended
+            obituary = self._obituary(lost)  # before the remaining nodes are ended
             bag_state, lacks = self._await_bag(lost)
             if message is not None and message.result_code == ResultCode.LIMIT:
                 # The plant's next heartbeat says which.
@@ -500,7 +500,7 @@ class Bench:
         known = {point.level_index for point in points}
         try:
             found = extract_bag(self.out / "bag").points
-        except BenchError:  # there is no lock event in it, or no whole message
+        except BenchError:  # without a lock event, or without a whole message
             return points, tuple(sorted(named)), ""
         except Exception as error:  # what ended the node may end this as well; the points that came are not lost for it
             return points, tuple(sorted(named)), f"{type(error).__name__}: {str(error).rstrip('.')}"
@@ -522,7 +522,7 @@ class Bench:
         client = self.client
         stands_still = lost == "plant" and self.test.pacing == "lockstep"
         if (lost == "sequencer" or stands_still) and self.processes is not None:
-            # Nobody tells the recorder that the run is over: wait for the plant's own ramp, then end all nodes.
+            # The recorder does not know that the run is over: wait for the plant's own ramp, then end all nodes.
             self.spin_while(lambda: not (client.drive_is_at_zero or stands_still), 10.0)
             self.spin(_LAST_WRITES)
             self.processes.end(*([_NO_RAMP] if stands_still else []))

@@ -29,7 +29,7 @@ SOURCES = Path(__file__).resolve().parents[2]
 
 
 def write_byte_code(sources: Path = SOURCES) -> None:
-    """Compile the modules of all packages to byte code, also where Python is told to write none.
+    """Compile the modules of all packages to byte code, also where Python is set to write none.
 
     Without it each process of a bench would compile what it imports, at every start. A module that is edited later is
     compiled as it is imported.
@@ -98,7 +98,7 @@ PARTS: dict[str, tuple[Callable[[], None], ...]] = {
 }
 BACKGROUND = "others"
 NICENESS = 10
-"""Of the background: a run beside it has nine tenths of the processor."""
+"""Of the background: a run next to it has nine tenths of the processor."""
 
 
 def warm_up(*parts: str) -> None:

@@ -184,24 +184,24 @@ class BenchNode(Node):  # type: ignore[misc]
     def command_subscription(
         self, kind: Any, topic: str, callback: Callable[[bytes, CommandSource], None], qos: QoSProfile
     ) -> Any:
-        """A raw subscription to a topic that one publisher may command; the callback is told who sent a message.
+        """A raw subscription to a topic that one publisher may command; the callback gets the sender of a message.
 
         The EventsExecutor of ROS 2 Jazzy hands no message info to callbacks. But the middleware delivers the messages
         of matched publishers only, and names those: while there is one, it is the sender; while there are several,
-        nobody can tell.
+        it is unknown.
         """
         self.identity.watch_commands(topic, f"{kind.__module__.partition('.')[0]}/msg/{kind.__name__}")
-        # Over a link only the node's own bench speaks, and who else publishes is looked for by the guard.
+        # Over a link only the node's own bench speaks, and who else publishes is searched for by the guard.
         asked = self.identity.known_source if self.transport.takes(topic) else self.identity.source
         return self.bench_subscription(kind, topic, lambda raw: callback(raw, asked(topic)), qos, raw=True)
 
     def bench_service(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Any:
-        """A service that nobody else may serve on this bench."""
+        """A service of this node alone on this bench."""
         self.identity.claim_service(name)
         return self.create_service(kind, name, callback)
 
     def second_publisher(self) -> str:
-        """A sentence that names who does the same work on this bench; empty if nobody does.
+        """A sentence that names who does the same work on this bench; empty if none.
 
         Another publisher of a commanded topic or of a topic of this node, or a node with the name of this one or of
         one that it watches.
@@ -276,7 +276,7 @@ class BenchNode(Node):  # type: ignore[misc]
         self._diagnostics.publish(write_diagnostics(status, self.get_clock().now().nanoseconds))
 
     def told_to_end(self) -> None:
-        """Called once when the process is told to end; the node goes on until :meth:`may_end`, for some seconds."""
+        """Called once when the process is asked to end; the node goes on until :meth:`may_end`, for some seconds."""
         self.get_logger().info("Told to end")
         self.publish_diagnostics(DiagnosticStatus.ERROR, "it was told to end")
 
@@ -400,7 +400,7 @@ class EndRequest:
 
     Attributes:
         since: when the first one came, s of the steady clock; None = none came.
-        hurry: whether another one came that is no echo of the first.
+        hurry: whether another one came that is not an echo of the first.
     """
 
     _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
@@ -473,7 +473,7 @@ def spin_for_ever(executor: Any, node: BenchNode, request: EndRequest | None = N
 
 
 def spin_node(factory: Callable[[], BenchNode], args: list[str] | None = None) -> int:
-    """Run one node until it is told to end: the shared ``main`` of all executables.
+    """Run one node until it is asked to end: the shared ``main`` of all executables.
 
     SIGINT, SIGTERM and SIGHUP let the node end its part of a run first: the drive goes to zero and the bag gets it.
 

@@ -1,6 +1,6 @@
 """The bench's transport: settings of the middleware that cannot be made through rclpy.
 
-The profile ``fastdds.xml`` binds loopback only, so nobody on the network reaches a node. A bench on
+The profile ``fastdds.xml`` binds loopback only, so the network does not reach a node. A bench on
 two hosts has a profile of its own, in which both hosts are named: ``python3 -m nmt_core.dds_profile`` writes it.
 """
 

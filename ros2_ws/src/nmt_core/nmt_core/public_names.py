@@ -28,7 +28,7 @@ def loaded(package: str, name: str) -> Any:
 
 @cache
 def _homes(package: str) -> dict[str, tuple[str, str]]:
-    """Module, and name there, of what a package imports for type checkers alone."""
+    """Module and name of each import for type checkers alone."""
     import ast
 
     tree = ast.parse(Path(str(sys.modules[package].__file__)).read_text(encoding="utf-8"))

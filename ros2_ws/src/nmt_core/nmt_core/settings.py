@@ -9,7 +9,7 @@ a misspelt name is an error of mypy:
 >>> settings_of(Ramp, {"seconds": 2}, "sequencer")
 Ramp(seconds=2.0)
 
-A field may hold settings itself, see :func:`group`; as parameters they stand beside the others.
+A field may hold settings itself, see :func:`group`; as parameters they stand with the others.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The one table of what a measuring chain and a model are ordinarily off by.
+"""The one table of ordinary uncertainties of a measuring chain and a model.
 
 Checks of recordings, the diagnosis, the sidecar's defaults and the generator of blind cases read it: cases are drawn
 from what the diagnosis assumes.
@@ -130,7 +130,7 @@ MODEL_PRIORS: dict[str, Prior] = {
     "exponent": Prior(0.1, "fitted to a few loops of the joint"),
     "onset_ratio": Prior(0.2, "fitted to a few loops of the joint"),
     "stiffness_ratio": Prior(0.2, "fitted to a few loops of the joint"),
-    "remaining_stiffness_n_m": Prior(0.03, "elastic path beside the joint"),
+    "remaining_stiffness_n_m": Prior(0.03, "elastic path parallel to the joint"),
     "stiffness_n_m": Prior(0.05, "static test of a spring or stop"),
     "stiffness_n_m2": Prior(0.1, "fit of a static curve"),
     "stiffness_n_m3": Prior(0.1, "fit of a static curve"),

@@ -112,7 +112,7 @@ class OutputState(IntEnum):
     """What is known of an output; the values are those of ``nmt_msgs/DriveStop``.
 
     Attributes:
-        NOT_KNOWN: nobody can tell.
+        NOT_KNOWN: it is unknown.
         AT_ZERO: at zero, ready to follow.
         FOLLOWING: follows what it is fed.
         RAMPING: on its way to zero.
@@ -240,7 +240,7 @@ LEVEL_UNITS = (
 
 
 class CurveParameter(IntEnum):
-    """What a point of a response curve is held by, beside its amplitude; values as in ``nmt_msgs/Level``.
+    """What a point of a response curve is held by, next to its amplitude; values as in ``nmt_msgs/Level``.
 
     Attributes:
         LAG: the phase lag.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from nmt_diagnose.measurements.measurement import Measurement
 
 _NOT_PREDICTED = {
-    TestKind.SWEEP: "a swept response is no steady state",
+    TestKind.SWEEP: "a swept response is not a steady state",
     TestKind.SECONDARY_RESONANCE: "its model follows resonances at the frequency of the drive",
     TestKind.SELF_EXCITED: "its model follows motions that a drive holds or that decay",
 }

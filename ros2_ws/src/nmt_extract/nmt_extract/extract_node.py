@@ -29,7 +29,7 @@ class ExtractNode(BenchNode):
         BenchError: a parameter is out of range.
     """
 
-    # Nobody waits for this node block by block.
+    # No node waits for this one block by block.
     BURST_PERIOD = 0.02
     NEEDED = ("linear_json",)
     settings: ExtractSettings

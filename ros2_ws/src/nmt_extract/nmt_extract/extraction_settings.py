@@ -93,12 +93,10 @@ class ExtractionSettings:
 class ExtractSettings(NodeSettings):
     """What the extraction node needs to know: the linear description, and how windows become points."""
 
-    linear_json: str = setting(
-        "", "Linear description of the rig as JSON, see the reference of linear.json; empty = nothing is extracted."
-    )
+    linear_json: str = setting("", "Linear description (linear.json); empty = no extraction.")
     extraction: ExtractionSettings = group(ExtractionSettings)
-    bundled: tuple[str, ...] = setting(("",), "Topics that are taken from the bundles of plant and loop; empty = none.")
-    hysteresis_json: str = setting("", "Masses and points of a three-mass chain with a joint as JSON; empty = none.")
+    bundled: tuple[str, ...] = setting(("",), "Topics taken from the bundles; empty = none.")
+    hysteresis_json: str = setting("", "Masses and points of the three-mass chain as JSON; empty = none.")
     rig: str = setting("", "Name of the rig, for the log.")
 
     @property
@@ -106,7 +104,7 @@ class ExtractSettings(NodeSettings):
         """Settings of the extraction with the layout that is given as JSON.
 
         Raises:
-            BenchError: it is no layout.
+            BenchError: it is not a layout.
         """
         if not self.hysteresis_json:
             return self.extraction

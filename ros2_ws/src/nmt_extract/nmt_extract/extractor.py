@@ -23,7 +23,7 @@ class Extractor:
     Args:
         linear: linear modes at the response points.
         settings: None = defaults.
-        decode: makes a :class:`SampleBlock` of what :meth:`add_record` is given.
+        decode: makes a :class:`SampleBlock` from the arguments of :meth:`add_record`.
         require_loop_state: False for data without a phase-locked loop.
     """
 
@@ -86,7 +86,7 @@ class Extractor:
         ``harmonics_control``: up to which the force's
         harmonics are controlled in it, see :class:`~nmt_core.messages.records.LevelCommand`.
 
-        A level of amplitude zero ends the excitation and is no level of the plan.
+        A level of amplitude zero ends the excitation and is not a level of the plan.
         """
         if amplitude > 0.0:
             self.levels[index] = (amplitude, unit, held_phase, parameter)

@@ -182,7 +182,7 @@ def _require(bag: Any, settings: ExtractionSettings) -> None:
         )
     if not _count(bag, "lock"):
         raise BenchError(
-            f"The bag {bag.path} has no 'lock' events: no level of the run locked, so there is no window "
+            f"The bag {bag.path} has no 'lock' events: no level of the run locked, so it has no window "
             "to extract; "
             "see the reasons on topic 'frequency'."
         )

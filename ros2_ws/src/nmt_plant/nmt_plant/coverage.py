@@ -17,7 +17,7 @@ def covers(test: DrivenTest, device: str = "") -> str:
     if not test.has_several_exciters:
         return ""
     if _SHAKING_TABLE in test.exciters:
-        return "A shaking table moves all supports at once and takes no exciter beside it; give the rig one exciter."
+        return "A shaking table moves all supports at once and takes no exciter next to it; give the rig one exciter."
     if device == _LOOPBACK:
         return (
             f"A loopback wires one output to all inputs, and this rig has {len(test.exciters)} exciters; choose one by "

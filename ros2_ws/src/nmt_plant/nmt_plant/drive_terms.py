@@ -1,4 +1,4 @@
-"""Terms of the drive beside its fundamental at exciter 1, over the amplitude or in V.
+"""Terms of the drive next to its fundamental at exciter 1, over the amplitude or in V.
 
 With the common amplitude A(t) exciter j gets u_j = A(t) Re Σ r_jn exp(i n θ) + W(t) Re Σ v_jn exp(i n θ); r_11 = 1 is
 the fundamental. So every ramp of the amplitude, and every end of a test, takes all exciters along; terms in V ramp with

@@ -55,8 +55,8 @@ class PlantCore:
         device: the device; it is configured and started here.
         latency_blocks: blocks the plant may run ahead of its commands.
         lockstep: blocks wait for the commands computed from those before.
-        reader_lead: samples by which the blocks of a run in lockstep may be ahead of what each of ``READERS`` has
-            taken; 0 = any number.
+        reader_lead: samples by which the blocks of a run in lockstep may be ahead of the position of each of
+            ``READERS``, as it has taken; 0 = any number.
 
     Attributes:
         phase: phase of the run, as last heard of.
@@ -141,7 +141,7 @@ class PlantCore:
 
     @property
     def second_source(self) -> str:
-        """A sentence that names who else has sent drive commands; empty if nobody has."""
+        """A sentence that names who else has sent drive commands; empty if none has."""
         names = self.judge.second_source
         return f"topic drive has a second publisher: {names}" if names else ""
 
@@ -222,7 +222,7 @@ class PlantCore:
         return self._told
 
     def quiet_down(self, reason: str, cause: StopCause = StopCause.NODE) -> Iterator[list[SampleBlock]]:
-        """Emergency ramp to zero: the blocks of the ramp, since in lockstep nobody else moves bench time on.
+        """Emergency ramp to zero: the blocks of the ramp, since in lockstep only this moves bench time on.
 
         The last block shows the drive at zero. In real time the blocks come by themselves and none is given.
 

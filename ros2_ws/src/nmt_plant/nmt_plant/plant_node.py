@@ -219,7 +219,7 @@ class PlantNode(BenchNode):
         self._advance()
 
     def _end_for_second_source(self, second: str) -> None:
-        """Ramp to zero, since nobody can tell any more whose commands these are; why comes before the blocks."""
+        """Ramp to zero, since the source of commands is unknown; why comes before the blocks."""
         if self._second == second or self._failed or not self.core.in_run:
             return
         self._second = second
@@ -343,7 +343,7 @@ class PlantNode(BenchNode):
             self.get_logger().info("The output is armed again")
 
     def _quiet_down(self, reason: str) -> None:
-        """Emergency ramp to zero; in lockstep produced right away, since nobody else moves bench time on."""
+        """Emergency ramp to zero; in lockstep produced right away, since only this moves bench time on."""
         if not self.device.is_quiet and self.device.state is DeviceState.RUNNING and not self.device.tripped:
             self.get_logger().error(f"Drive goes to zero: {reason}.")
         self._publish_ramp(self.core.quiet_down(reason))
@@ -357,7 +357,7 @@ class PlantNode(BenchNode):
             self._fail(f"The device failed: {error}")
 
     def _on_emergency_stop(self, message: Any) -> None:
-        """Anybody may stop; that a stop is over is nobody's to say but the operator's, by `reset`."""
+        """Anybody may stop; only the operator ends a stop, by `reset`."""
         if message.data and self.device.stop_cause is not StopCause.EMERGENCY_STOP:
             found = self.get_publishers_info_by_topic(self.resolve_topic_name("emergency_stop"))
             # A publisher may be matched before its node's name has come.

@@ -16,11 +16,10 @@ from nmt_rig.device_sections import SIMULATED_OR_CONVERTERS
 class PlantSettings(NodeSettings):
     """What the plant drives, and how its samples go out."""
 
-    rig_file: str = setting("", "Rig file to simulate: a path, or the name of a rig that comes with the bench.")
+    rig_file: str = setting("", "Rig file: a path or the name of a shipped rig.")
     pacing: str = setting(
         "realtime",
-        "realtime: paced by the converter; without nodes to watch blocks come from the start on. lockstep: every block"
-        " waits for the drive computed from the one before.",
+        "realtime: paced by the converter; lockstep: every block waits for the drive of the one before.",
         choices=PACINGS,
     )
     latency_blocks: int = setting(
@@ -31,14 +30,11 @@ class PlantSettings(NodeSettings):
         low=0,
         high=100,
     )
-    output_record: str = setting(
-        "", "Real time: file in which the process that owns the output says what the output does; empty = none."
-    )
-    stop_file: str = setting("", "File whose existence is the simulated rig's external stop input; empty = none.")
+    output_record: str = setting("", "Real time: record file of the output's process; empty = none.")
+    stop_file: str = setting("", "File whose existence is the external stop input; empty = none.")
     device: str = setting(
         "",
-        "What is driven: simulated (also when empty), or the converter of the rig file's section device, or a"
-        " kind of it with the simulated specimen's ports.",
+        "simulated (also empty), the rig file's device, or a kind of converter with the specimen's ports.",
         choices=("", *SIMULATED_OR_CONVERTERS),
     )
     bundle_blocks: int = setting(

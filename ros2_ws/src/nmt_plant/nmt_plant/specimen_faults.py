@@ -64,7 +64,7 @@ def parse_fault(text: str) -> Fault:
     try:
         return Fault(name, channel, float(volts or 0.0))
     except ValueError:
-        raise BenchError(f"Fault '{text}': '{volts}' is no drive in V, as in 'short:x6@0.5'.") from None
+        raise BenchError(f"Fault '{text}': '{volts}' is not a drive in V, as in 'short:x6@0.5'.") from None
 
 
 class Wiring:

@@ -1,11 +1,11 @@
 """Topics of nodes that are none of the bench's as channels of it: stamped messages in, blocks of samples out.
 
-The blocks lie on a grid of equal steps. Its sample 0 is the first stamp that all topics have passed, or, beside a
+The blocks lie on a grid of equal steps. Its sample 0 is the first stamp that all topics have passed, or, next to a
 plant, the plant's own sample 0. Values at the times of the grid are those of the cubic through the four nearest
-messages. Where messages are missing, samples are NaN; where nothing came at all, there is no block.
+messages. Where messages are missing, samples are NaN; without any message no block comes.
 
-This is no sample clock that is shared with the excitation: the phase of a channel is as good as its stamps are. No loop
-can be closed over it.
+This is not a sample clock that is shared with the excitation: the phase of a channel is as good as its stamps are. No
+loop can be closed over it.
 """
 
 from __future__ import annotations
@@ -34,12 +34,9 @@ class TopicBridgeSettings(NodeSettings):
     rig: str = setting("", "Name of the rig, for the frame of the blocks.")
     reference: str = setting(
         "",
-        "Topic of samples of a plant that runs beside, such as force: its sample index is taken; empty = a "
-        "clock of its own, from the first message on.",
+        "Topic of a plant whose sample index is used, such as force; empty = an own clock.",
     )
-    patience: float = setting(
-        1.0, "How far a topic may be behind the others before its samples count as missing.", unit="s", low=0.05
-    )
+    patience: float = setting(1.0, "Delay of a topic before its samples count as missing.", unit="s", low=0.05)
 
 
 _BEHIND = 3  # messages that a cubic needs beyond the end of a block
@@ -135,7 +132,7 @@ class TopicBridge:
             self._next = end_sample
 
     def take(self) -> list[SampleBlock]:
-        """Blocks that have become complete, or whose missing samples nobody waits for any more."""
+        """Blocks that have become complete, or whose missing samples are given up."""
         blocks: list[SampleBlock] = []
         while self._begun():
             assert self._zero is not None

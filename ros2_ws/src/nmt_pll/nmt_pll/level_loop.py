@@ -49,7 +49,7 @@ class LoopOutput(NamedTuple):
         rate_hz_s: SWEEP: rate of the frequency from the next block on, Hz/s.
         frequency_end_hz: SWEEP: where it ends, Hz.
         band_low_hz, band_high_hz: RANDOM: band of the noise, Hz.
-        terms: of the drive beside its fundamental at exciter 1, as in `DriveCommand`.
+        terms: of the drive next to its fundamental at exciter 1, as in `DriveCommand`.
     """
 
     last_sample: int

@@ -199,7 +199,7 @@ class LoopCore:
             loop.filter.reset()
 
     def refusal(self, kind: TestKind) -> str:
-        """Why there is no loop for a kind of test; empty = there is one."""
+        """Why a kind of test has no loop; empty = it has one."""
         refusal = covers(DrivenTest(kind=kind, exciters=("",) * self._exciters), self.settings.loop)
         if refusal or kind in self.loops:
             return refusal
@@ -236,7 +236,7 @@ class LoopCore:
 
     @property
     def second_source(self) -> str:
-        """A sentence that names who else has sent levels; empty if nobody has."""
+        """A sentence that names who else has sent levels; empty if none has."""
         names = self.judge.second_source
         return f"topic level has a second publisher: {names}" if names else ""
 

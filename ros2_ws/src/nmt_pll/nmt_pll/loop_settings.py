@@ -83,26 +83,18 @@ class LoopSettings:
     latency_blocks: int = setting(0, "Buffering between command and excitation.", unit="blocks", low=0.0)
     quiet_ramp: float = setting(0.5, "Half-cosine to zero after a lost lock.", unit="s", low=0.0)
     ramp_delay_periods: float = setting(
-        0.0, "Windows during the ramp so long after a level begins; 0 = after lock.", unit="periods", low=0.0
+        0.0, "Windows during the ramp begin so long after the level; 0 = after lock.", unit="periods", low=0.0
     )
     switch_off_periods: float = setting(
         1.0, "Ring-down: half-cosine of the voltage to zero; at most 1.", unit="periods", low=0.0
     )
     voltage_limit: float = setting(
-        0.0, "A level of a controlled amplitude that would need more is given up; 0 = no limit.", unit="V", low=0.0
+        0.0, "Levels of controlled amplitude beyond it are given up; 0 = none.", unit="V", low=0.0
     )
-    slew_limit: float = setting(
-        0.0, "Control of harmonics keeps drive and harmonics below it; 0 = no limit.", unit="V/s", low=0.0
-    )
-    phase_offset_rad: float = setting(
-        0.0, "Phase by which the held force leads the velocity; 0 = phase resonance.", unit="rad"
-    )
-    loop_latency_s: float = setting(
-        0.0, "Time by which the held force leads the velocity, besides the phase offset.", unit="s"
-    )
-    mac_limit: float = setting(
-        0.8, "Several exciters: least MAC of the response with the linear target mode at lock; at most 1.", low=0.0
-    )
+    slew_limit: float = setting(0.0, "Bound of drive and harmonics; 0 = none.", unit="V/s", low=0.0)
+    phase_offset_rad: float = setting(0.0, "Phase lead of the force over the velocity.", unit="rad")
+    loop_latency_s: float = setting(0.0, "Time lead of the force over the velocity.", unit="s")
+    mac_limit: float = setting(0.8, "Several exciters: least MAC with the target mode at lock.", low=0.0)
     pbmif_limit: float = setting(0.9, "Several exciters: least generalised PBMIF at lock; at most 1.", low=0.0)
 
     def __post_init__(self) -> None:

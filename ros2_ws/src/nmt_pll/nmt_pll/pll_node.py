@@ -19,7 +19,7 @@ from nmt_pll.loop_core import LoopCore
 from nmt_pll.pll_settings import PllSettings
 
 _BUNDLE_WAIT_S = 0.05  # that a message waits for its bundle
-_END_WAIT_S = 2.0  # that the loop waits for the ramp to zero when it is told to end
+_END_WAIT_S = 2.0  # that the loop waits for the ramp to zero when it is asked to end
 
 
 class PllNode(BenchNode):

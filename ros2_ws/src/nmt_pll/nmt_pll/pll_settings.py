@@ -19,18 +19,13 @@ PAPER_PREFIX = "paper_"
 class PllSettings(NodeSettings):
     """What the PLL node needs to know: the rig's points and blocks, and the settings of its loops."""
 
-    linear_json: str = setting(
-        "", "Linear description of the rig as JSON, see the reference of linear.json; empty = no phase is controlled."
-    )
+    linear_json: str = setting("", "Linear description (linear.json); empty = no phase control.")
     force_per_volt_json: str = setting(
         "",
-        "Force per volt of drive as JSON, rows of frequency (Hz), real and imaginary part (N/V); where it "
-        "says nothing, control of harmonics measures it before the first level.",
+        "Force per volt as JSON, rows of Hz, real and imaginary part (N/V); else it is probed.",
     )
-    drive_point: int = setting(0, "Point of the exciter if there is no linear description.", low=0)
-    exciters: int = setting(
-        1, "Number of exciters that a random test drives, each with a noise of its own.", low=1, high=64
-    )
+    drive_point: int = setting(0, "Point of the exciter without a linear description.", low=0)
+    exciters: int = setting(1, "Exciters of a random test, each with its own noise.", low=1, high=64)
     sample_rate: float = setting(10000.0, "Sample rate of the blocks.", unit="Hz", low=1.0)
     block_samples: int = setting(200, "Samples a block.", unit="samples", low=2, high=100000)
     response_topic: str = setting(
@@ -54,13 +49,10 @@ class PllSettings(NodeSettings):
         False, f"Take force and response at the drive point, joined, from {LOOP_INPUT} in place of their own topics."
     )
     settling_time: float = setting(2.0, "Random test: between the end of the ramp and the window.", unit="s", low=0.0)
-    self_excited_method: str = setting(
-        "auto", "Self-excited test: how an amplitude is reached; auto = by what is stable.", choices=METHODS
-    )
+    self_excited_method: str = setting("auto", "Self-excited test: method; auto = what is stable.", choices=METHODS)
     response_limit: float = setting(
         0.0,
-        "Self-excited test: limit of the drive-point response, in its unit; at 85 % of it the motion is damped; "
-        "0 = none.",
+        "Self-excited test: response limit; at 85 % the motion is damped; 0 = none.",
         low=0.0,
     )
     loop_settings: LoopSettings = group(LoopSettings)

@@ -1,6 +1,6 @@
 """Thresholds of the loops: value, unit, reason, and the test that fails when it moves.
 
-Numbers that a decision or a rate of the loops hangs on; steps of quadratures and tolerances of solvers stand beside
+Numbers that a decision or a rate of the loops hangs on; steps of quadratures and tolerances of solvers stand next to
 their loops, settings of users in :mod:`nmt_pll.loop_settings`.
 """
 

@@ -1,4 +1,4 @@
-"""Figures of a diagnosis: residual maps, and curves of the measurement beside the models."""
+"""Figures of a diagnosis: residual maps, and curves of the measurement next to the models."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Shown:
 
     Attributes:
         models: name of the field, label, colour, dashes and width of each.
-        ink: colour of what was measured.
+        ink: colour of measured values.
     """
 
     models: tuple[tuple[str, str, Colour, tuple[float, ...] | None, float], ...]
@@ -67,7 +67,7 @@ class Shown:
 def residual_figure(
     groups: Sequence[ResidualGroup], test: str, number: int, with_effect: bool, label: str
 ) -> ReportFigure:
-    """Heat map of what is left of one test: channel and harmonic over the level, a panel for each model.
+    """Heat map of the residual of one test: channel and harmonic over the level, a panel for each model.
 
     Args:
         groups: the map.
@@ -370,6 +370,6 @@ def harmonic_figure(name: str, title: str, courses: Sequence[HarmonicCourse], sh
     )  # fmt: skip
     caption = (
         "Magnitude of each harmonic over that of the measured fundamental. Open circles lie within two standard "
-        "deviations of zero: there only the noise is seen, and a model below them is no contradiction."
+        "deviations of zero: there only the noise is seen, and a model below them is not a contradiction."
     )
     return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=columns > 1)

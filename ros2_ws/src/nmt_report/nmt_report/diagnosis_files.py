@@ -35,10 +35,10 @@ def write_diagnosis(
         floor: the bags that were repeats, for the floor.
 
     Returns:
-        A sentence where there is no ``model.yaml`` because no rig file may hold the fitted values; else empty.
+        A sentence without ``model.yaml`` because no rig file may hold the fitted values; else empty.
 
     Raises:
-        BenchError: there is no such rig, or the folder cannot be written.
+        BenchError: no such rig, or exists the folder cannot be written.
     """
     folder, path = Path(folder), find_rig(model)
     diagnosis = replace(

@@ -30,7 +30,7 @@ def model_text(text: str, name: str, given: Rig, model: Rig, diagnosis: Diagnosi
         diagnosis: what was found.
 
     Raises:
-        BenchError: ``text`` is no rig file.
+        BenchError: ``text`` is not a rig file.
     """
     if diagnosis.verdict is Verdict.UNKNOWN and not (diagnosis.law is not None and diagnosis.law.is_written):
         model = given

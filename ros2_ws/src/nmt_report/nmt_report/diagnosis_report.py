@@ -588,7 +588,7 @@ _BELOW = (
 
 
 def course_figures(report: DiagnosisReport) -> list[ReportFigure]:
-    """Measured values beside those of the model before and after, test by test."""
+    """Measured values next to those of the model before and after, test by test."""
     result: list[ReportFigure] = []
     shown = Shown.of(report.with_effect)
     tests = report.observations.tests

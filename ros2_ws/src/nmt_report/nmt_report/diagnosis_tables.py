@@ -37,7 +37,7 @@ def bar(share: float, width: int = _BAR) -> str:
 
 
 def ranking_table(diagnosis: Diagnosis) -> Table | None:
-    """Explanations with their probability, most probable first; None where there is no gap to explain."""
+    """Explanations with their probability, most probable first; None without a gap."""
     if not diagnosis.ranking:
         return None
     table = _new("Explanations")
@@ -77,7 +77,7 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
 
 
 def place_table(diagnosis: Diagnosis) -> Table | None:
-    """Places with their probability; None where there is no gap to place."""
+    """Places with their probability; None without a gap."""
     if not diagnosis.where:
         return None
     table = _new("Places")

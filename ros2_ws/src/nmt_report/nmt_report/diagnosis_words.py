@@ -61,9 +61,9 @@ def is_partial(diagnosis: Diagnosis) -> bool:
 
 
 def is_within_first(diagnosis: Diagnosis, item: Ranked) -> bool:
-    """Whether an explanation is the first one, a partial one, with another effect beside it.
+    """Whether an explanation is the first one, a partial one, with another effect next to it.
 
-    The probability of a partial explanation counts whatever acts beside it, so that of this one is part of it.
+    The probability of a partial explanation counts whatever acts next to it, so that of this one is part of it.
     """
     first = diagnosis.ranking[0]
     return is_partial(diagnosis) and set(first.effect.split(" + ")) < set(item.effect.split(" + "))

@@ -41,7 +41,7 @@ def report_figures(report: Path | str) -> list[Record]:
         report: ``report.html``, or the results folder that holds it.
 
     Raises:
-        BenchError: there is no such page, or it holds no figures that could be drawn anew.
+        BenchError: no such page, or exists it holds no figures that could be drawn anew.
     """
     path = Path(report)
     if path.is_dir():

@@ -73,7 +73,7 @@ def unpacked(text: str) -> Record:
     """The figure behind :func:`packed`.
 
     Raises:
-        BenchError: the text is no packed figure, or a figure of more than 64 MB.
+        BenchError: the text is not a packed figure, or a figure of more than 64 MB.
     """
     try:
         inflate = zlib.decompressobj()
@@ -154,7 +154,7 @@ def _colour(value: Any) -> str:
     return str(to_hex(value, keep_alpha=True))
 
 
-# The type hints of matplotlib leave out much of what its artists can tell; hence Any.
+# The type hints of matplotlib leave out much of its artists; hence Any.
 
 
 def _panel(axes: Axes, number: int, panels: list[Axes]) -> Record:

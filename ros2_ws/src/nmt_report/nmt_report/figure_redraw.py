@@ -116,7 +116,7 @@ def _letters(scale: float) -> Any:
 
 
 def _columns(legend: Mapping[str, Any], width: float) -> int:
-    """As many as fit beside each other at this width."""
+    """As many as fit next to each other at this width."""
     letters = max((len(entry["text"]) for entry in legend["entries"]), default=1) + 6
     return max(1, min(int(legend["columns"]), int(width * 72.0 / (4.0 * letters))))
 

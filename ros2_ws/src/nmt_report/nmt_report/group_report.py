@@ -1,4 +1,4 @@
-"""``report.html`` of several units: their parameters one beside the other, what they share and how they scatter."""
+"""``report.html`` of several units: their parameters one next to the other, what they share and how they scatter."""
 
 from __future__ import annotations
 

@@ -261,7 +261,7 @@ def _stretches(state: Any) -> list[tuple[int, int, int]]:
 
 
 def _strip_stretches(state: Any) -> list[tuple[int, int, int]]:
-    """Stretches of one state; of very many, columns with the worst of what is in them: a lost lock stays visible."""
+    """Stretches of one state; of very many, columns with the worst state in them: a lost lock stays visible."""
     stretches = _stretches(state)
     if len(stretches) <= _STRIP_COLUMNS:
         return stretches

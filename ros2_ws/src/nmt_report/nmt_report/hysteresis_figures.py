@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def hysteresis_figure(data: RunReportData) -> ReportFigure | None:
-    """Joint force over relative displacement, and what is left without the secant stiffness; None without a chain."""
+    """Joint force over relative displacement, and the residual without the secant stiffness; None without a chain."""
     values = (data.run.get("extraction") or {}).get("hysteresis")
     if not values:
         return None

@@ -79,7 +79,7 @@ def investigation_page(record: InvestigationRecord, outcome: DiagnosisOutcome | 
 
 
 def _looked_at(outcome: DiagnosisOutcome) -> list[tuple[str, str, Markup]]:
-    """What a person looks at: where the gap lies, the course of what was measured and predicted, and what remains."""
+    """What a person looks at: where the gap lies, the course of measured and predicted values, and what remains."""
     report = drawn(outcome)
     found = outcome.diagnosis
     with figure_style():

@@ -32,7 +32,7 @@ def reference_page(rig: Rig, reference: Reference, shapes: PointShapes, compared
         rig: rig that was computed.
         reference: of :func:`nmt_rig.reference.compute_reference`.
         shapes: of :func:`nmt_rig.reference.point_shapes`.
-        compared: table that is drawn beside it.
+        compared: table that is drawn next to it.
     """
     q, omega, damping = reference.modal_amplitude, reference.omega_rad_s, reference.damping_ratio
     hertz = omega / (2.0 * np.pi)

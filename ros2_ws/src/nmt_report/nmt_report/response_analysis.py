@@ -1,4 +1,4 @@
-"""From the bag of a sweep or a stepped sine to frequency responses, and the model's steady responses beside them."""
+"""From the bag of a sweep or a stepped sine to frequency responses, and the model's steady responses next to them."""
 
 from __future__ import annotations
 

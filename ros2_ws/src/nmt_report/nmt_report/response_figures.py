@@ -21,7 +21,7 @@ _QUANTITIES = {"a": ("acceleration", "m/s²"), "v": ("velocity", "m/s"), "x": ("
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """A computed curve beside measured ones: level (N), frequency (Hz), complex responses (channels, k)."""
+    """A computed curve next to measured ones: level (N), frequency (Hz), complex responses (channels, k)."""
 
     label: str
     level: float

@@ -1,4 +1,4 @@
-"""What stands behind ±: the budget with every source that is known, or repeatability where there is no budget.
+"""What stands behind ±: the budget with every source that is known, or repeatability without a budget.
 
 Repeatability is the standard uncertainty that a window shows of itself; ``modal.csv`` and ``modal.json`` have it.
 """

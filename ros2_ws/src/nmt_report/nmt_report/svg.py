@@ -27,7 +27,7 @@ _HALF_PAGE = 600.0
 """Points: a wider figure takes the whole page."""
 
 _SCALE_WIDTH = 0.05
-"""Share of a figure's width: narrower axes are a colour scale, and stay with what is left of them."""
+"""Share of a figure's width: narrower axes are a colour scale, and stay with the others."""
 
 INK = "#22272e"
 MUTED = "#6b7480"
@@ -135,10 +135,10 @@ def svg_text(figure: Figure, name: str, label: str, tips: Mapping[str, str] | No
 
 
 class ScaledNumbers(ScalarFormatter):
-    """Tick labels as text beside a common power of ten: matplotlib would set every number as a formula, which is slow.
+    """Tick labels as text next to a common power of ten: matplotlib would set every number as a formula, which is slow.
 
     Args:
-        limits: exponents within which there is no common power.
+        limits: exponents within which no common power is used.
     """
 
     def __init__(self, limits: tuple[int, int]) -> None:

@@ -95,9 +95,9 @@ class DeviceSection(Section):
     Attributes:
         driver: ``module:Class`` of the `nmt_plant.converters.converter.Converter`.
         finder: ``module:function`` that is called with section and rig, and raises BenchError where the converter is
-            not there; empty = nothing is looked for.
+            not there; empty = nothing is searched for.
         addressed: whether ``--device KIND@HOST:PORT`` names an address of it.
-        by_contract: whether its check begins with the contract of a converter, because nobody has tried it before.
+        by_contract: whether its check begins with the contract of a converter, because it is untried.
         outputs: drive channels: one for every exciter, in their order
         inputs: measured channels: one for every sensor; a ``voltage`` sensor without one is what was put out
         check: what must have passed before a test: ``rig`` = every channel against the rig's model, ``converter`` =
@@ -229,7 +229,7 @@ class NiDaqmxSection(DeviceSection):
         start_trigger: terminal that starts the output; empty = that of the first input's device or its chassis
         clock_source: terminal of the output's sample clock; empty = that of the first input's device or chassis
         buffer_blocks: blocks that the output's buffer holds
-        stop_input: analog input of the external stop line; none = there is no such line
+        stop_input: analog input of the external stop line; left out = none
     """
 
     driver: ClassVar = "nmt_plant.converters.nidaqmx_converter:NiDaqmxConverter"

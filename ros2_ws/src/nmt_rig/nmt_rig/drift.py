@@ -16,7 +16,7 @@ from nmt_rig.rig_model import build_structure
 
 # Bench time of one step, s: within it nothing changes.
 STEP_S = 0.02
-# Of what is left of a slip force at least: it must stay positive.
+# Smallest remaining share of a slip force: it must stay positive.
 _SMALLEST_SHARE = 1e-6
 # The stiffness changes in relative steps of this size, to the nearest: frequencies are right within a quarter of it.
 _STIFFNESS_STEP = 4e-6

@@ -8,7 +8,7 @@ class BadFileError(ValueError):
 
 
 class KeyOfRigError(BadFileError):
-    """What is wrong with the value of a key of the rig file, beside what its files hold.
+    """What is wrong with the value of a key of the rig file, next to what its files hold.
 
     Attributes:
         path: of the key.

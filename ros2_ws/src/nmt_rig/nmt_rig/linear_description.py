@@ -25,7 +25,7 @@ from nmt_rig.rig_model import (
 
 _BESIDE = 1e-6
 _NEAR_ROWS = 41  # of force per volt, within a fifth of the target mode's frequency
-_WIDE_ROWS = 120  # beside it, up to half the sample rate
+_WIDE_ROWS = 120  # next to it, up to half the sample rate
 
 
 def force_per_volt(rig: Rig, frequencies_hz: Sequence[float]) -> ComplexArray:
@@ -110,7 +110,7 @@ def linear_description(rig: Rig) -> LinearDescription:
     with all friction sticking: the smallest levels of a test scale by them.
 
     Raises:
-        BenchError: the target mode is a rigid-body mode, or there is no such mode, or nothing oscillates.
+        BenchError: the target mode is a rigid-body mode, or no such mode, or exists nothing oscillates.
     """
     structure = build_structure(rig)
     elements = build_resting_elements(rig, structure)
@@ -119,7 +119,8 @@ def linear_description(rig: Rig) -> LinearDescription:
     if target >= modes.frequencies.size or modes.frequencies[target] <= 0.0:
         rigid = int(np.sum(modes.frequencies == 0.0))
         raise BenchError(
-            f"test.mode {rig.test.mode} of rig {rig.name} is no elastic mode: of the first {modes.frequencies.size} "
+            f"test.mode {rig.test.mode} of rig {rig.name} is not an elastic mode: of the first "
+            f"{modes.frequencies.size} "
             f"modes {rigid} are rigid-body modes; choose another test.mode."
         )
     points = rig.response_points(Quantity[rig.extraction.quantity.upper()])
@@ -142,7 +143,7 @@ def linear_description(rig: Rig) -> LinearDescription:
 
     try:
         q, force = system.response(float(modes.frequencies[target]))
-    except np.linalg.LinAlgError:  # without any damping the response is finite only beside the resonance
+    except np.linalg.LinAlgError:  # without any damping the response is finite only next to the resonance
         q, force = system.response(float(modes.frequencies[target]) * (1.0 + _BESIDE))
     per_volt = input_per_volt(rig)
     shaker = build_shaker(rig)

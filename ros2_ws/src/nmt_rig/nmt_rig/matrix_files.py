@@ -89,7 +89,7 @@ def read_model(paths: Mapping[str, Path]) -> NamedModel:
 
     Args:
         paths: by key of the rig file: file, mass_file, stiffness_file, damping_file, rows_file, nodes_file. A file that
-            holds one matrix as Abaqus and CalculiX write it stands for those beside it, too.
+            holds one matrix as Abaqus and CalculiX write it stands for those next to it, too.
 
     Raises:
         BadFileError: what is wrong with the files together; with one of them, it names the file.
@@ -112,7 +112,7 @@ def read_model(paths: Mapping[str, Path]) -> NamedModel:
 
 
 def _with_sisters(path: Path, part: ModelPart) -> list[ModelPart]:
-    """A part, and those of the other matrices that the program wrote beside its file."""
+    """A part, and those of the other matrices that the program wrote next to its file."""
     quantity = quantity_of(path)
     if (
         quantity is None

@@ -186,7 +186,7 @@ def direction_words(directions: Any) -> str:
 
 
 def united(parts: Sequence[ModelPart]) -> NamedModel:
-    """One model of what several files say; rows in the order of the files where all agree, else by node.
+    """One model of several files; rows in the order of the files where all agree, else by node.
 
     Raises:
         BadFileError: a quantity comes twice, files that name their rows meet files that do not, numbers that are not

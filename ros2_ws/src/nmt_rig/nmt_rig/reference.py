@@ -182,7 +182,7 @@ def point_shapes(rig: Rig, reference: Reference) -> PointShapes:
 def default_amplitudes(rig: Rig, points: int = 100) -> FloatArray:
     """Modal amplitudes (points,) that cover the rig's default levels generously, in geometric steps, m√kg.
 
-    From a third of what the lowest level gives to ten times what the highest gives on the sticking structure
+    From a third of the value at the lowest level to ten times that at the highest on the sticking structure
     or with the phase-resonant single-point drive; of several exciters from a third of the lowest to twice the
     highest at rest. With levels of the response, as of a self-excited rig, from a third of the lowest to the highest.
 

@@ -90,7 +90,7 @@ def _region(model: NamedModel, name: str, section: Any, folder: Path, units: Uni
     if not isinstance(section, Mapping):
         raise ValueError("it must have nodes, within or file")
     if written := [key for key in WRITTEN if section.get(key)]:
-        raise ValueError(f"{written[0]} is written by the bench; leave it out beside files of the model")
+        raise ValueError(f"{written[0]} is written by the bench; leave it out next to files of the model")
     from_file: dict[str, Any] = {}
     if section.get("file") is not None:
         from_file = _own_matrices(model, folder / Path(str(section["file"])).expanduser(), units, rotations)
@@ -200,9 +200,9 @@ def reduced_with_regions(
     Args:
         matrices: checked matrices of the structure; supports are not held in them.
         kept: rows of the points.
-        modes: to keep beside them.
+        modes: to keep next to them.
         regions: on these rows.
-        most: coordinates beside those of supports, up to which what the modes left out answer is kept, too.
+        most: coordinates next to those of supports, up to which what the modes left out answer is kept, too.
 
     Returns:
         Matrices, and regions by name as the rig has them.

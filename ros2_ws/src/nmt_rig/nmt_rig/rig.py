@@ -308,7 +308,7 @@ def validate_rig(document: RigDocument, folder: Path | None = None) -> Rig:
 
     Args:
         document: the file.
-        folder: where files that its structure names are looked for; the working directory when None.
+        folder: where files that its structure names are searched for; the working directory when None.
 
     Raises:
         BenchError: the first thing that is wrong, with file and line, and how many more there are.
@@ -343,7 +343,7 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = (), vibrating:
         2.0
         >>> load_rig("wing")
         Traceback (most recent call last):
-        nmt_core.errors.BenchError: there is no rig wing...
+        nmt_core.errors.BenchError: there is not a rig wing...
     """
     path = find_rig(path_or_name)
     if path.suffix.lower() in ROBOT_ENDINGS:

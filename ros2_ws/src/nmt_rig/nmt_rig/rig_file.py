@@ -1,4 +1,4 @@
-"""Rig files as text: `a.b.c=value` overrides of what the YAML says."""
+"""Rig files as text: `a.b.c=value` overrides of the YAML."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def edited_rig_text(text: str, name: str, target: Rig) -> str:
         target: what the new text must load to.
 
     Raises:
-        BenchError: ``text`` is no rig file, or ``target`` is beyond what a rig file may hold.
+        BenchError: ``text`` is not a rig file, or ``target`` is beyond what a rig file may hold.
     """
     # The files that a structure was read from may not be there: then the rig is written out.
     base = target if getattr(target.structure, "source", "") else validate_rig(parse_document(text, name))
@@ -236,7 +236,7 @@ def _cut_tail(parent: Any, key: Any) -> str:
         return ""
     token = tokens[place]
     if isinstance(value, _OWN_LINES):
-        tokens[place] = None  # a text in lines of its own has no comment beside it
+        tokens[place] = None  # a text in lines of its own has no comment next to it
         return str(token.value)
     own, newline, tail = token.value.partition("\n")
     if own.strip() or not tail:

@@ -35,7 +35,7 @@ def find_rig(path_or_name: str | Path) -> Path:
     """File of a rig given by path, or by name: NMT_RIG_PATH first, then the shipped rigs.
 
     Raises:
-        BenchError: there is no such rig.
+        BenchError: no such rig exists.
 
     Examples:
         >>> find_rig("beam").name

@@ -17,7 +17,7 @@ def rig_text(rig: Rig, source: str | Path | None = None, overrides: Sequence[str
     Args:
         rig: the validated rig.
         source: name or path it was loaded from; without overrides its own text is kept, comments and
-            all, unless its structure or its driver comes from files beside it.
+            all, unless its structure or its driver comes from files next to it.
         overrides: ``key=value`` texts that were applied.
 
     Raises:

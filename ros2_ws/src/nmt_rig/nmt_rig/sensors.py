@@ -6,7 +6,7 @@ converter → dropped samples.
 Noise convention: `noise_psd` S is a density in units²/Hz such that the noise has the variance S / t_c, where
 t_c is the time over which a value is held (the correlation time; one sampling interval when it is 0). This is
 the two-sided density; the one-sided one is 2 S. With it a force amplitude of 0.1 N has the SNR of the paper's
-noise table (14 dB at 2e-9 and t_c = 0.01 ms). There is no anti-aliasing: values held for less than a sampling
+noise table (14 dB at 2e-9 and t_c = 0.01 ms). Anti-aliasing is missing: values held for less than a sampling
 interval are independent.
 """
 

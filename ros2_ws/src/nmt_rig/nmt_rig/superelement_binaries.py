@@ -86,7 +86,7 @@ def _checked(matrix: Any, name: str) -> Any:
 
 
 def read_op4(path: Path) -> ModelPart:
-    """Matrices of an OUTPUT4 file of Nastran, text or binary; rows by the EXTRN card punched beside it, if any.
+    """Matrices of an OUTPUT4 file of Nastran, text or binary; rows by the EXTRN card punched next to it, if any.
 
     Raises:
         BadFileError: pyyeti is missing, or no real square matrices named K…, M…, B….
@@ -106,7 +106,7 @@ def read_op4(path: Path) -> ModelPart:
 
 
 def read_op2(path: Path) -> ModelPart:
-    """Matrices of an OUTPUT2 file of Nastran; rows by the EXTRN card punched beside it, if any.
+    """Matrices of an OUTPUT2 file of Nastran; rows by the EXTRN card punched next to it, if any.
 
     Raises:
         BadFileError: pyyeti is missing, or no real square matrices named K…, M…, B….

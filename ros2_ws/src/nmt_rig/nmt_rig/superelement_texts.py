@@ -70,7 +70,7 @@ def number_table(text: str, columns: int, what: str) -> NDArray[np.float64]:
     """(n, columns) numbers of a text with commas or blanks between them.
 
     Raises:
-        BadFileError: something that is no number, or lines that are not whole.
+        BadFileError: something that is not a number, or lines that are not whole.
     """
     try:
         with warnings.catch_warnings():
@@ -90,7 +90,7 @@ def _whole(values: NDArray[np.float64], what: str) -> NDArray[np.int64]:
 
 
 def sister(path: Path, quantity: str, wanted: str) -> Path | None:
-    """The file of another quantity that a program wrote with this one: job_MASS1.mtx beside job_STIF1.mtx."""
+    """The file of another quantity that a program wrote with this one: job_MASS1.mtx next to job_STIF1.mtx."""
     for mark, replacement in zip(_PAIRS[quantity], _PAIRS[wanted], strict=True):
         name = re.sub(re.escape(mark), replacement, path.name, flags=re.IGNORECASE)
         if name != path.name and (path.parent / name).is_file():
@@ -216,7 +216,7 @@ def _user_element(nodes: list[int], directions: list[list[str]]) -> Any:
 
 
 def read_calculix(path: Path, quantity: str) -> ModelPart:
-    """Entries ``row column value`` that CalculiX stores with SOLVER=MATRIXSTORAGE, their rows by the .dof beside it.
+    """Entries ``row column value`` that CalculiX stores with SOLVER=MATRIXSTORAGE, their rows by the .dof next to it.
 
     Raises:
         BadFileError: not such a list, or rows beyond those of the .dof file.
@@ -277,7 +277,7 @@ def external_rows(text: str) -> Any:
 
 
 def beside(path: Path) -> ModelPart:
-    """Names of rows and nodes that Nastran punched beside an OP4 or OP2 of the same name; empty without them.
+    """Names of rows and nodes that Nastran punched next to an OP4 or OP2 of the same name; empty without them.
 
     Raises:
         BadFileError: the punched file is not whole.
@@ -386,7 +386,7 @@ def _grids(cards: Iterator[list[str]]) -> NDArray[np.float64]:
 
 
 def read_dmig(path: Path) -> ModelPart:
-    """Matrices of DMIG cards, as Nastran punches a superelement, with the coordinates of GRID cards beside them.
+    """Matrices of DMIG cards, as Nastran punches a superelement, with the coordinates of GRID cards next to them.
 
     Raises:
         BadFileError: no real square matrix named K…, M…, B… or C…, several of one kind, or cards that are not whole.
@@ -467,7 +467,7 @@ def matrix_names(names: Sequence[str]) -> dict[str, str]:
 
 
 def _is_structural(name: str, names: Sequence[str]) -> bool:
-    """Whether a name is that of structural damping, as K4XX; K40, and K4 beside M4, are a stiffness with a number."""
+    """Whether a name is that of structural damping, as K4XX; K40, and K4 next to M4, are a stiffness with a number."""
     upper = name.upper()
     return bool(re.match(r"K4(?!\d)", upper)) and f"M{upper[1:]}" not in {each.upper() for each in names}
 

@@ -42,8 +42,8 @@ from nmt_core.vocabulary import CurveParameter
 MOST_PARTS = 256
 """Parts that the lags of a curve are cut into at most, and points that are put into one where the lag is not held."""
 _GROWTH = 1.5  # of the step of the lag, from one to the next
-_SHORTEST_LAST = 0.5  # of the step: what is left before an end is not cut
-_TURNING_SHARE = 0.7  # of what a parabola leaves before a quantity turns, which a step of it may take
+_SHORTEST_LAST = 0.5  # of the step: the remainder before an end is not cut
+_TURNING_SHARE = 0.7  # share of the way to a parabola's turning point that a step may take
 _LARGEST_BEND = 0.3  # rad, by which the curve may turn within a step
 _SHORTEST_STEP = 0.25  # of the spacing; also after a loss
 _DEVIATION = 0.25  # of a step, which a point may lie off its parabola

@@ -119,7 +119,7 @@ class LevelLimits:
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> LevelLimits:
-        """From the description of a run; what is not there is no limit."""
+        """From the description of a run; a missing entry is not a limit."""
         return cls(*(float(values.get(parameter.name) or 0.0) for parameter in parameters_of(cls)))
 
     def check(self, levels: Sequence[Any], control: int, test: KindOfTest, where: str = "Plan") -> list[float]:
@@ -175,7 +175,7 @@ def directed(levels: Sequence[float], direction: str) -> list[float]:
 
 @dataclass(frozen=True)
 class RunPlan(RunSettings):
-    """What to run: what was asked for, with the sequencer's parameters in place of what was left open.
+    """What to run: what was asked for, with the sequencer's parameters instead of open values.
 
     Attributes:
         timeout: bench time a level may take to lock, s; 0 = no limit.

@@ -1,4 +1,4 @@
-"""Levels put between those of a plan where the backbone bends: the step follows the curvature of what was measured.
+"""Levels put between those of a plan where the backbone bends: the step follows the measured curvature.
 
 With x = ln(level) and y = ln(frequency) a straight line through the last two levels misses the next one, at a distance
 h, by |y[x₁, x₂, x₃]| h (h + h₁), h₁ being the last step and y[…] the second divided difference of the last three. The
@@ -16,7 +16,7 @@ from itertools import pairwise
 MOST_PARTS = 16
 """Parts that a step of the plan is cut into at most."""
 _GROWTH = 2.0
-_SHORTEST_LAST = 0.5  # of the step: what is left before a level of the plan is not cut
+_SHORTEST_LAST = 0.5  # of the step: the remainder before a level of the plan is not cut
 
 
 class LevelRefinement:

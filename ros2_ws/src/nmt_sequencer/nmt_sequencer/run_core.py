@@ -30,7 +30,7 @@ _STOPPED_BY = {
     StopCause.EXTERNAL_INPUT: ResultCode.STOPPED,
     StopCause.OUTPUT: ResultCode.NODE_LOST,
 }
-"""How a run ends after a stop at the plant; the others are told by the flags of the samples, or on diagnostics."""
+"""How a run ends after a stop at the plant; the others are known by the flags of the samples, or on diagnostics."""
 
 
 class RunCore:
@@ -93,7 +93,7 @@ class RunCore:
         return plan
 
     def announcement(self, goal: str, plan: RunPlan) -> RunAnnouncement:
-        """What the recorder is told of a plan before it begins; ``goal`` is the name of the goal."""
+        """What the recorder gets of a plan before it begins; ``goal`` is the name of the goal."""
         described = {**plan.description, "pacing": self.settings.pacing}
         return RunAnnouncement(goal, plan.run_id, described)
 
@@ -199,7 +199,7 @@ class RunCore:
         return self._extracted != before and self.machine.phase == RunPhase.DONE
 
     def account(self) -> None:
-        """Close the account of a run that is over: a run is no success while locked levels lack their modal point."""
+        """Close the account of a run that is over: it is not a success while locked levels lack their modal point."""
         machine, missing = self.machine, sorted(self.missing_points)
         if not missing:
             return

@@ -81,7 +81,7 @@ class RunMachine:
 
     Feed :meth:`on_report` and :meth:`on_lock`; after each call publish what :meth:`take_orders` returns and then the
     state. :attr:`horizon` is the first sample the plant may not produce yet. :attr:`plant_stop` says how a run ends
-    when its blocks are flagged because the plant has taken the drive to zero, and nobody has asked for its end.
+    when its blocks are flagged because the plant has taken the drive to zero, and its end was not asked for.
     """
 
     pacing: Pacing

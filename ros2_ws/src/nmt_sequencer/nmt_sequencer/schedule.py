@@ -46,7 +46,7 @@ class Schedule:
         """Take a report of the present level while it is locked."""
 
     def following(self, done: Steps, locked: bool, planned: Steps, report: LoopStatus) -> Steps | None:
-        """What is to follow a level in place of what the plan has.
+        """Levels to follow a level instead of the plan's.
 
         Args:
             done: the level that has ended, alone.

@@ -44,7 +44,7 @@ _QUIET_TIMEOUT = 4.0
 _STILL = 1.0  # s without a block after which it is looked at what a run in lockstep waits for
 _TIMING = ("sample_rate", "block_samples")  # parameters that all nodes of a bench share
 _STATUS_TOPIC = "run_levels/_action/status"  # a topic, and thus an owner, that every action server has
-_LONGEST_END = 2.0  # s that the sequencer waits for the ramp to zero when it is told to end
+_LONGEST_END = 2.0  # s that the sequencer waits for the ramp to zero when it is asked to end
 
 
 class SequencerNode(BenchNode):
@@ -437,7 +437,7 @@ class SequencerNode(BenchNode):
             # Extraction is waited for as long as it moves, or could not.
             self._waited += passed
             overdue = self._waited > self.settings.points_timeout
-            # Nobody is left to send them.
+            # No sender is left.
             gone = bool(self.liveness.first_lost(time.monotonic()) or self.liveness.first_failure()[0])
             given_up = self._end_is_asked_for and self._is_held_up(now)
             if overdue or gone or given_up or not self.core.missing_points:
@@ -459,7 +459,7 @@ class SequencerNode(BenchNode):
     def _passed(self, now: float) -> float:
         """Time since the last look that counts against nodes which do not answer, s.
 
-        A machine that was suspended, or had no processor, has not waited for so long; and in lockstep nobody waits for
+        A machine that was suspended, or had no processor, has not waited for so long; and in lockstep no node waits for
         a node that is stopped or busy.
         """
         most = min(now - self._guarded, 2.0 * _GUARD_PERIOD)

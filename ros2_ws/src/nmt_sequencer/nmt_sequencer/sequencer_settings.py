@@ -24,27 +24,23 @@ class SequencerSettings(NodeSettings):
         200, "Whole periods a window if the goal gives none.", unit="periods", low=1, high=1000000
     )
     timeout: float = setting(60.0, "Bench time a level may take to lock if the goal gives none.", unit="s", low=0.0)
-    open_loop_abort: bool = setting(
-        True, "End a phase resonance test where a higher level would follow one that had no force or no response."
-    )
+    open_loop_abort: bool = setting(True, "End a phase resonance test after a level without force or response.")
     ready_timeout: float = setting(
         30.0,
-        "Time to wait for all watched nodes before a run; in lockstep only while they could work.",
+        "Wait for all watched nodes before a run.",
         unit="s",
         low=0.1,
     )
     stall_timeout: float = setting(
         20.0,
-        "Time in which no block of a run may be answered, in lockstep while its nodes could work; then the "
-        "run is ended, except during a pause.",
+        "Time without an answered block that ends the run.",
         unit="s",
         low=1.0,
     )
-    recording: bool = setting(True, "A run begins only when a recorder has opened a bag for it.")
+    recording: bool = setting(True, "A run needs an open bag.")
     points_timeout: float = setting(
         30.0,
-        "Time without any progress of extraction after which missing modal points are no longer waited for "
-        "after a run.",
+        "Time without progress of extraction before missing points are given up.",
         unit="s",
         low=0.0,
     )

@@ -63,7 +63,7 @@ def curve_values(
     block_duration: float = 0.0,
     latency_blocks: int = 0,
 ) -> dict[str, Any]:
-    """Settings of the loop with those that a response curve needs and nobody has given.
+    """Settings of the loop with those that a response curve needs and that are not given.
 
     Args:
         kind: of the test; the settings of another kind stay as they are.

@@ -58,7 +58,7 @@ READER_LEADS = (2.0, 20.0)
 RAMP_DELAY = 1.0
 """Periods from the start of a level to its window in the strategy ``ramp``."""
 OUTPUT_RECORD = "output.jsonl"
-"""File beside the bag, in real time, in which the process that owns the output says what the output does."""
+"""File next to the bag, in real time, in which the process that owns the output says what the output does."""
 
 # Where each node's class and executable are found.
 NODES: dict[str, tuple[str, str, str]] = {
@@ -151,7 +151,7 @@ def plan_nodes(test: TestPlan, bag: Path, rig_file: Path, device: str = "") -> N
 
 @dataclass(frozen=True)
 class _Wiring:
-    """What several nodes of a test are told alike.
+    """What several nodes of a test are given alike.
 
     Attributes:
         linear_json: linear description of loop and extraction; empty = none.
@@ -418,7 +418,7 @@ def _extracted_harmonics(test: TestPlan, linear: LinearDescription | None) -> in
 
 
 def _known_force(test: TestPlan, linear: LinearDescription | None) -> str:
-    """JSON of the force per volt at controlled harmonics: of the linear test, beside it of the model.
+    """JSON of the force per volt at controlled harmonics: of the linear test, next to it of the model.
 
     On hardware nothing but the test is believed; what it does not cover is probed.
     """

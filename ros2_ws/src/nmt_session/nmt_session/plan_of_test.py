@@ -33,7 +33,7 @@ REAL_TIME_LEAD = 6
 
 
 class PlanSettings(TypedDict, total=False):
-    """Keyword arguments of a test: fields of `RunSettings` and of `TestPlan`, whose meanings are theirs; what is left
+    """Keyword arguments of a test: fields of `RunSettings` and of `TestPlan`, whose meanings are theirs; the others
     out or None is the rig's own."""
 
     run_id: str
@@ -97,7 +97,7 @@ class TestPlan:
     def of(
         cls, rig: Rig, rig_yaml: str, levels: Sequence[float], kind: KindOfTest | None = None, **settings: Any
     ) -> TestPlan:
-        """A plan in which what nobody has stated is the rig's own; numbers of numpy become Python's.
+        """A plan with the rig's own values for unstated ones; numbers of numpy become Python's.
 
         Args:
             rig: the rig with all overrides applied.

@@ -193,7 +193,7 @@ def _with_comparison(levels: Sequence[float], every: int) -> tuple[tuple[float, 
 
 
 def _leaves_block_open(plan: TestPlan) -> bool:
-    """Whether nobody has said how long a block is, and nothing but wall time depends on it.
+    """Whether the length of a block is not stated, and nothing but wall time depends on it.
 
     Blocks of hardware and of real time wait at its output; those of a latency are what the user has counted.
     """

@@ -1,4 +1,4 @@
-"""Versions of what the results of a run depend on."""
+"""Versions on which the results of a run depend."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from importlib import metadata
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of what a run's result depends on."""
+    """Versions on which a run's result depends."""
     found = {"python": platform.python_version()}
     for name in ("numpy", "scipy", "numba", "rosbags", "nmt_bench", "ros-jazzy-rclpy"):
         try:

@@ -41,7 +41,7 @@ class AveragedSpectra:
         return np.asarray(self.matrix[self.channels.index(row), self.channels.index(column)])
 
     def without(self, inputs: Sequence[str], instruments: Sequence[str]) -> AveragedSpectra:
-        """Spectra of what other inputs do not explain, as least squares over the instruments find it.
+        """Spectra conditioned on the other inputs, as least squares over the instruments find it.
 
         With the inputs as their own instruments these are the partial spectra of Bendat and Piersol, and their H1 of
         one more input is that of S_xf S_ff⁻¹ of all inputs at once. With the voltages as instruments it is that of

@@ -2,7 +2,7 @@
 
 Every channel is fitted by least squares with {1, cos nθ, sin nθ}, n = 1..H, where θ is the excitation phase
 at each sample. Over whole periods of an integer number of samples this equals the discrete Fourier transform;
-it stays exact when a period is no integer number of samples and when the frequency changes within the window.
+it stays exact when a period is not an integer number of samples and when the frequency changes within the window.
 
 Convention: x(t) = Re Σ ψ_n exp(i n θ); ψ_0 is real.
 """
@@ -18,7 +18,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 
 _CHUNK = 4096  # samples whose rotations are held at a time: they fit in the cache
-_LEAST_PIVOT = 1e-9  # of the normal matrix beside the number of samples; below it the fit is not determined
+_LEAST_PIVOT = 1e-9  # of the normal matrix compared with the number of samples; below it the fit is not determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ def segment_moments(cycles: FloatArray, data: FloatArray, harmonics: int, bounds
     """
     data = np.ascontiguousarray(data, dtype=np.float64)
     segments = len(bounds) - 1
-    # Sums of cosines and sines, the real and imaginary parts of what is returned.
+    # Sums of cosines and sines, the real and imaginary parts of the result.
     basis = np.zeros((2, segments, 2 * harmonics + 1))
     projections = np.zeros((2, segments, data.shape[0], harmonics + 1))
     room = np.empty((2, 2 * harmonics + 1, _CHUNK))
@@ -228,5 +228,5 @@ def _normal_matrices(basis: ComplexArray) -> FloatArray:
     gram[:, 1::2, 1::2] = 0.5 * (minus.real - plus.real)
     gram[:, 1::2, 0::2] = 0.5 * (plus.imag + sign * minus.imag)
     gram[:, 0::2, 1::2] = gram[:, 1::2, 0::2].transpose(0, 2, 1)
-    kept = np.delete(np.arange(2 * harmonics + 2), 1)  # sin 0θ is no unknown
+    kept = np.delete(np.arange(2 * harmonics + 2), 1)  # sin 0θ is not an unknown
     return gram[:, kept[:, None], kept]

@@ -166,7 +166,7 @@ class _LocalFit:
         return self._across(self._moved())
 
     def _along(self, slope: ComplexArray, projected: ComplexArray) -> tuple[complex, float]:
-        """Weighted least-squares coefficient of a slope in what is left, and the information on it."""
+        """Weighted least-squares coefficient of a slope in the residual, and the information on it."""
         weights = 1.0 / np.maximum(self.noise, 1e-300)
         information = float((weights * (np.abs(slope) ** 2).sum(axis=0)).sum())
         product = complex((weights * (np.conj(slope) * projected).sum(axis=0)).sum())
@@ -235,5 +235,5 @@ def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float,
 def _steps(cross: ComplexArray) -> FloatArray:
     smooth = np.convolve(cross, np.array([0.25, 0.5, 0.25]), mode="same")
     result: FloatArray = np.angle(smooth[1:] * np.conj(smooth[:-1]))
-    # Noise turns the phase to and fro: what exceeds a quarter turn a step is no resonance.
+    # Noise turns the phase to and fro: what exceeds a quarter turn a step is not a resonance.
     return np.where(np.abs(result) < 0.5 * math.pi, result, 0.0)

@@ -14,7 +14,7 @@ by division: its poles are zeros of voltage → force, its residues N_x / N_f′
 force gives H1 where the force drops out at resonance. Without a voltage, u is the force and the structure's poles are
 the poles.
 
-Noise that enters with an input goes through the structure: what is left of the channels is larger where they resonate.
+Noise that enters with an input goes through the structure: the residual of the channels is larger where they resonate.
 Its variance, a_c + Σ_j b_j |H_cj|², is read off a first fit; the second weights the lines by it, as the maximum of the
 likelihood with noise of inputs and outputs does (section 9.11 there), and so do all uncertainties.
 
@@ -56,7 +56,7 @@ class RationalFit:
         residues: R of the responses, output unit over input unit, shape ``(channels, inputs, P)``.
         polynomial: coefficients from the constant up, shape ``(channels, inputs, order + 1)``.
         covariance: of (poles, then residues and polynomial by channel and input), complex circular.
-        misfit: rms of what is left over rms of the channel, shape ``(channels,)``.
+        misfit: rms of the residual over that of the channel, shape ``(channels,)``.
         input_noise: power of the noise that enters with each input over the input's around the centre, ``(inputs,)``.
         lines: number of spectral lines fitted.
     """
@@ -324,7 +324,7 @@ class _Problem:
         """Poles from a start, in rounds with channels weighted by what the round before left over."""
         weights = np.ones(self.data.shape[1])
         cost = np.inf
-        # The cost of a weighted round is the number of data: a gain far below 1 is no gain.
+        # The cost of a weighted round is the number of data: a gain far below 1 is not a gain.
         for precision in _PRECISIONS:
             q, r, residual = self.split(poles)
             cost = float(np.sum(np.abs(residual * weights) ** 2))
@@ -352,7 +352,7 @@ class _Problem:
             weights = 1.0 / np.maximum(level, 1e-12)
         if not np.all(np.isfinite(poles)):
             return None
-        # Comparable between starts: what is left of every channel, logarithms summed (likelihood of unknown noise).
+        # Comparable between starts: the residual of every channel, logarithms summed (likelihood of unknown noise).
         return _Solution(float(np.sum(np.log(np.maximum(level, 1e-12)))), poles, weights)
 
     def statistics(self, solution: _Solution, noise: _Noise) -> tuple[ComplexArray, ComplexArray, FloatArray]:
@@ -392,10 +392,10 @@ def _root(covariance: ComplexArray) -> ComplexArray:
 
 
 def _input_powers(left: FloatArray, free: FloatArray, gains: FloatArray) -> FloatArray:
-    """Powers of the noise of the inputs that make what is left of the channels most likely.
+    """Powers of the noise of the inputs that make the residual of the channels most likely.
 
     Args:
-        left: power of what a fit leaves, shape ``(lines, channels)``.
+        left: power of the residual, shape ``(lines, channels)``.
         free: share of each line that the fit did not take, shape ``(lines,)``.
         gains: squared magnitudes of channels over inputs, shape ``(lines, inputs, channels)``.
 

@@ -1,4 +1,4 @@
-"""Excitation frequency of a periodic signal whose phase nobody recorded.
+"""Excitation frequency of a periodic signal with an unrecorded phase.
 
 A Gauss–Newton fit of a Fourier series with unknown frequency (the sine fit of IEEE 1057, with harmonics). The
 harmonics are eliminated in every step (variable projection), so only the frequency is iterated.
@@ -44,7 +44,7 @@ def fit_frequency(signal: FloatArray, sample_rate: float, guess_hz: float, harmo
         Frequency, Hz.
 
     Raises:
-        BenchError: there is no periodic signal, or the fit does not converge.
+        BenchError: no periodic signal, or the fit does not converge.
     """
     if not np.ptp(signal) > 0.0:
         raise BenchError("The force is constant, so the excitation frequency cannot be found; check the force sensor.")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 class DiagnoseOptions:
     """Compares a rig file with recordings of the real rig: re-fits the model's own parameters, weighs every effect of
     the library at every place, and says where the gap lies, which effect causes it and how far it shrinks on data
-    kept out of the fit; or that there is no gap, or that nothing in the library explains it."""
+    kept out of the fit; or that no gap exists, or that nothing in the library explains it."""
 
     model: str = needed_option(
         "name of a rig (for example beam), path of a rig file, or a robot's MJCF or URDF file", metavar="RIG"

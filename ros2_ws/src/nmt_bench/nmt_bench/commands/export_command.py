@@ -20,7 +20,7 @@ def _format(word: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class ExportOptions:
-    """Writes the samples of a bag, and the frequency responses beside it, for other tools, together with a sidecar:
+    """Writes the samples of a bag, and the frequency responses next to it, for other tools, together with a sidecar:
     './nmt import' of that gives a bag from which './nmt extract' computes the same results. With UFF the modes of a
     linear test, or of the levels of a run, come too: modes.uff with nodes, trace line and shapes (data sets 15, 82,
     55)."""

@@ -217,7 +217,7 @@ def _settings(run: dict[str, object] | None, harmonics: int | None) -> Extractio
 
 
 def _lack_of_run(bag: Bag) -> str:
-    """What a bag without a stop record lacks, as the run command noted it beside the bag; empty if nothing is known."""
+    """What a bag without a stop record lacks, as the run command noted it; empty if nothing is known."""
     if bag.run_stop is not None:
         return ""
     try:
@@ -225,4 +225,4 @@ def _lack_of_run(bag: Bag) -> str:
         lacks = float(run["result"]["bag"]["lacks_s"])
     except (BenchError, KeyError, TypeError, ValueError):
         return ""
-    return f"Of the run the bag lacks {lacks:.3f} s of bench time, as run.json beside it says." if lacks > 0.0 else ""
+    return f"Of the run the bag lacks {lacks:.3f} s of bench time, as run.json says." if lacks > 0.0 else ""

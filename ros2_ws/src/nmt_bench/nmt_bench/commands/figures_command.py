@@ -14,7 +14,7 @@ from nmt_core.options import argument, option
 @dataclass(frozen=True, kw_only=True)
 class FiguresOptions:
     """Draws every figure of a report anew at the width of a column, with letters of a stated size, and writes the
-    plotted numbers beside it as a table with one point a row. Figures that take the page get two columns."""
+    plotted numbers next to it as a table with one point a row. Figures that take the page get two columns."""
 
     source: Path = argument("results folder of any command with a report, or a report.html", metavar="DIR")
     format: str = option(

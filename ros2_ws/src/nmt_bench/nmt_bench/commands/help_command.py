@@ -22,7 +22,7 @@ def run(options: HelpOptions) -> int:
     """Print the help.
 
     Raises:
-        BenchError: there is no such command.
+        BenchError: no such command exists.
     """
     from nmt_bench.cli import build_parser
     from nmt_core.text.proposal import did_you_mean

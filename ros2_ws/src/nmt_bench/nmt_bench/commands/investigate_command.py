@@ -203,7 +203,7 @@ def _settings(options: InvestigateOptions, model: Rig) -> InvestigationSettings:
 
 @dataclass(frozen=True)
 class _Driven:
-    """What every test drives, as a command of the bench is told."""
+    """What every test drives, as a command of the bench gets it."""
 
     rig: str
     set: tuple[str, ...]
@@ -393,7 +393,7 @@ def measure(
 
     Args:
         test: its name is that of the folder.
-        out: gets the folder, and the log beside it.
+        out: gets the folder, and the log next to it.
         seed: of the rig's noise, to which the number of the test is added.
         say: called with a sentence.
         options: further words, of the bench that does it.

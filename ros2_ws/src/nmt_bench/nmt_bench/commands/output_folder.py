@@ -56,7 +56,7 @@ RESULT_NAMES = (
 class OutputFolder:
     """Context manager around the results of one command.
 
-    Without ``live`` the command writes to a hidden folder beside ``path``, whose contents are moved in place
+    Without ``live`` the command writes to a hidden folder next to ``path``, whose contents are moved in place
     when the block ends well and removed when it does not: what is in ``path`` is always whole. With ``live``
     the command writes in place, for recordings that must survive a killed process; an empty folder is removed
     again. A folder that somebody deletes meanwhile is the sentence that the command ends with.

@@ -1,4 +1,4 @@
-"""``./nmt page``: the live page beside running nodes, or a recording with a slider."""
+"""``./nmt page``: the live page next to running nodes, or a recording with a slider."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class PageOptions:
-    """Serves a page on 127.0.0.1 and prints its address. Beside running nodes it shows the test as it goes on and lets
+    """Serves a page on 127.0.0.1 and prints its address. Next to running nodes it shows the test as it goes on and lets
     steer it; with a bag it replays the recording. Ctrl-C ends the page, not the test."""
 
     bag: Path | None = optional_argument(None, "recording to replay (default: running nodes)", metavar="BAG")

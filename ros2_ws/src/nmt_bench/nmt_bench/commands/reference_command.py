@@ -28,7 +28,7 @@ def _band(text: str) -> tuple[float, float]:
     try:
         low, high = map(float, text.split(":"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is no band; give it in Hz as in 15:45") from None
+        raise argparse.ArgumentTypeError(f"'{text}' is not a band; give it in Hz as in 15:45") from None
     return low, high
 
 

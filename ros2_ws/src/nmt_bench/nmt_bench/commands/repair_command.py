@@ -13,7 +13,7 @@ from nmt_core.options import argument
 
 @dataclass(frozen=True, kw_only=True)
 class RepairOptions:
-    """Writes every message that can be read to a regular rosbag2 folder, with a record of what was lost, and prints
+    """Writes every message that can be read to a regular rosbag2 folder, with a record of the losses, and prints
     it. A damaged chunk costs its own messages only."""
 
     bag: Path = argument("rosbag2 folder, .mcap file, or the results folder of a run", metavar="BAG")

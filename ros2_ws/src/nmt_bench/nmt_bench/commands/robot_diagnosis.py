@@ -58,7 +58,7 @@ def diagnose_robot_log(options: DiagnoseOptions) -> int:
 
 
 def propose_robot_sidecar(data: Path, robot: Path, force: bool) -> int:
-    """Write a sidecar for a log of joints beside it, or here where that folder takes no files.
+    """Write a sidecar for a log of joints next to it, or here where that folder takes no files.
 
     Raises:
         BenchError: the log or the robot cannot be read, or there is a sidecar already.

@@ -361,7 +361,7 @@ def evaluate(
     Args:
         result, bench: what was measured, and where.
         folder: of the results.
-        console: takes a sentence where there is no reference.
+        console: takes a sentence without a reference.
         choice, sheet: as ``--reference`` and ``--calibration`` say.
     """
     from nmt_core.processes.work_progress import tell

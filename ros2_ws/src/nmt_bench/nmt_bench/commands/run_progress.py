@@ -96,7 +96,7 @@ class RunProgress:
             self._progress.update(self._task, description=name, completed=fraction, state=state, detail=brief)
         if self._seen != (index, state):
             settled = state in (LoopState.LOCKED, LoopState.LOCK_LOST)
-            # Between levels and after the last one the loop rests, which is no news.
+            # Between levels and after the last one the loop rests, which is not news.
             resting = state is LoopState.FIXED and self._seen is not None
             # On a terminal the bar shows the rest; what a level came to stays as a line.
             if settled or not (self._live or resting):

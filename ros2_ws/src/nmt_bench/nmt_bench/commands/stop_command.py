@@ -20,7 +20,7 @@ _LAST_DOMAIN = 232
 @dataclass(frozen=True, kw_only=True)
 class StopOptions:
     """Takes the drive of every bench on this host to zero, or that of one domain, and holds it there until the service
-    'reset' of its plant is called. Says what each plant answers. It is no substitute for the switch of the
+    'reset' of its plant is called. Says what each plant answers. It is not a substitute for the switch of the
     amplifier."""
 
     domain: int | None = option(

@@ -1,4 +1,4 @@
-"""``./nmt synthesis``: the frequency response that a measured backbone predicts, beside measured sweeps."""
+"""``./nmt synthesis``: the frequency response that a measured backbone predicts, next to measured sweeps."""
 
 from __future__ import annotations
 

@@ -133,7 +133,7 @@ def print_verdict(
         points: one a level.
         console: where to.
         planned: levels of the plan; 0 = as many as there are points.
-        linear: linear modes that they were extracted with, by which it is told which mode a level is.
+        linear: linear modes that they were extracted with, which determine the mode of a level.
 
     Returns:
         The verdict.

@@ -20,7 +20,7 @@ from nmt_rig.rig import Rig
 
 
 def fingerprint(rig: Rig, section: AnyDevice) -> str:
-    """SHA-256 of what a check is good for."""
+    """SHA-256 of the subject of a check."""
     values = rig.model_dump(mode="json", include={"name", "sensors", "exciter", "limits", "sample_rate_hz"})
     text = json.dumps([values, section.model_dump(mode="json")], sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -61,7 +61,7 @@ class AdoptedProcess:
         returncode: exit code, minus the number of the signal that killed it, or None while it lives.
 
     Raises:
-        ChildProcessError: it is no child of this process.
+        ChildProcessError: it is not a child of this process.
     """
 
     def __init__(self, pid: int) -> None:

@@ -20,7 +20,7 @@ from nmt_core.processes.parent_death import begin_group
 from nmt_core.processes.process_watch import ProcessWatch
 from nmt_session.node_plan import NODES, NodePlan
 
-_GRACE = 15.0  # s in which a node that is told to end has nothing to do: it waits for the ramp to zero in vain
+_GRACE = 15.0  # s in which a node that was asked to end has nothing to do: it waits for the ramp to zero in vain
 _HURRIED = 3.0  # s in which it leaves what it waits for and closes its files
 _MOST_WORK = 120.0  # s of processor time that it may take for what it was sent
 IDLE_START = 6.0  # s that a node which has not been heard of yet does nothing, after which it will not come up
@@ -125,7 +125,7 @@ class NodeProcesses:
     def not_coming_up(self, unheard: Sequence[str]) -> str:
         """A sentence on a node of which nothing has been heard and whose process does nothing; empty if none is so.
 
-        A busy computer is no reason: what counts is the time in which the process could have worked and did not.
+        A busy computer is not a reason: what counts is the time in which the process could have worked and did not.
         """
         for name in unheard:
             process = self.processes.get(name)
@@ -162,7 +162,7 @@ class NodeProcesses:
         return how
 
     def end(self, grace: float = _GRACE) -> None:
-        """Ask every process to end, wait, ask again, by which a node leaves what it waits for, then kill what is left.
+        """Ask every process to end, wait, ask again, by which a node leaves what it waits for, then kill the others.
 
         Args:
             grace: s in which a node has nothing to do.

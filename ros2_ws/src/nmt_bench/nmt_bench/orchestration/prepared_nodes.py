@@ -192,7 +192,7 @@ def _present_folder() -> str:
 
 @contextlib.contextmanager
 def nodes_ahead(wanted: bool = True) -> Iterator[None]:
-    """Have what nodes need imported beside what the program does meanwhile, for the next bench that it starts.
+    """Have what nodes need imported next to what the program does meanwhile, for the next bench that it starts.
 
     Args:
         wanted: False = do nothing.

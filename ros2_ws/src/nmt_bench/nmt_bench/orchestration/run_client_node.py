@@ -238,7 +238,7 @@ def run_beside(
     try:
         RunLevels.Goal(**goal)
     except (AssertionError, TypeError, ValueError) as error:
-        raise BenchError(f"The plan is no goal of a run ({error}); write it anew with './nmt params'.") from error
+        raise BenchError(f"The plan is not a goal of a run ({error}); write it anew with './nmt params'.") from error
     with visitor_of(domain) as context, terminate_as_interrupt():
         client = RunClient(context, (), lockstep=False, namespace=namespace)
         executor = SingleThreadedExecutor(context=context)

@@ -61,7 +61,7 @@ class StopNode(Node):  # type: ignore[misc]
 
 @contextlib.contextmanager
 def visitor_of(domain: int) -> Iterator[Context]:
-    """A context for a node beside those of the bench of a domain, and the bench's environment while it lasts."""
+    """A context for a node next to those of the bench of a domain, and the bench's environment while it lasts."""
     before = dict(os.environ)
     os.environ.update(bench_environment(domain))
     context = Context()

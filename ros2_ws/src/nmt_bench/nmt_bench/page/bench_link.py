@@ -42,4 +42,4 @@ class NoBench:
         return ServiceAnswer(False, "there is nothing that could be started here")
 
     def emergency_stop(self) -> None:
-        """There is no drive."""
+        """No drive exists."""

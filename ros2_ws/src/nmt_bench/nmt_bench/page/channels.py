@@ -107,7 +107,7 @@ class TopicSignals:
 
     @property
     def floor(self) -> FloatArray:
-        """What is told from rounding, of each channel in its unit."""
+        """What differs from rounding, of each channel in its unit."""
         return np.asarray(np.maximum(FLOOR_SHARE * self._largest, LEAST), dtype=np.float64)
 
     @property

@@ -22,7 +22,8 @@ def min_max(data: FloatArray, buckets: int) -> FloatArray:
         return np.array(data, dtype=np.float64)
     length = -(-data.size // buckets)
     stretches = -(-data.size // length)
-    padded = np.full(stretches * length, data[-1])  # the last stretch may be shorter: its last value is no new extreme
+    # the last stretch may be shorter: its last value is not a new extreme
+    padded = np.full(stretches * length, data[-1])
     padded[: data.size] = data
     rows: FloatArray = padded.reshape(stretches, length)
     result = np.empty(2 * stretches)

@@ -267,7 +267,7 @@ class LiveView:
             return ""
 
     def facts(self) -> bytes:
-        """The frame of what stays."""
+        """The frame of lasting content."""
         with self._lock:
             points = [self._points[index] for index in sorted(self._points)]
             arrays = dict(zip(("reference_q", "reference_f", "reference_d"), self._reference, strict=False))
@@ -394,7 +394,7 @@ class LiveView:
             return self._signals.newest_stretch()
 
     def live(self, since: int, spectrum: bool = True) -> bytes:
-        """The frame of what moves.
+        """The frame of changing content.
 
         Args:
             since: number of the first stretch of the strips that is wanted.
@@ -478,7 +478,7 @@ class LiveView:
         ]
 
     def _told(self, name: str, value: float, unit: str) -> str:
-        """An amplitude with its unit; below what is told from rounding only that."""
+        """An amplitude with its unit; below the size of rounding only that."""
         if math.isfinite(value):
             self._largest[name] = max(self._largest.get(name, 0.0), abs(value))
         floor = max(FLOOR_SHARE * self._largest.get(name, 0.0), LEAST)

@@ -27,7 +27,7 @@ _NICE = 5
 
 
 class _Bench:
-    """What a page beside running nodes does besides serving: it reads the bag and computes the reference."""
+    """What a page next to running nodes does besides serving: it reads the bag and computes the reference."""
 
     def __init__(self, view: LiveView, with_reference: bool) -> None:
         self._view, self._with_reference = view, with_reference

@@ -57,10 +57,10 @@ class PageSource(Protocol):
     """Counts what has changed in the facts."""
 
     def facts(self) -> bytes:
-        """The frame of what stays."""
+        """The frame of lasting content."""
 
     def live(self, since: int, spectrum: bool = True) -> bytes:
-        """The frame of what moves."""
+        """The frame of changing content."""
 
     def newest_stretch(self) -> int:
         """Number of the newest stretch of the strips."""

@@ -42,7 +42,7 @@ def paired_periods(
 
     Returns:
         Samples of all channels of either, ``(channels, samples)``, and the frequency in Hz; no samples and NaN where
-        there is no periodic excitation, or where one of them does not reach far enough back.
+        the excitation is not periodic, or where one of them does not reach far enough back.
     """
     none = np.zeros((0, 0)), np.zeros((0, 0)), math.nan
     frequency, rate = force.oscillator.frequency_hz, force.sample_rate
@@ -82,7 +82,7 @@ def fundamental_amplitudes(periods_of: FloatArray, frequency: float, periods: in
 
     Args:
         periods_of: whole periods, ``(channels, samples)``.
-        frequency: Hz; NaN where there is no periodic excitation.
+        frequency: Hz; NaN without a periodic excitation.
         periods: how many there are.
 
     Returns:

@@ -21,7 +21,7 @@ class TaskAnswers:
     A stop that comes while nothing is asked is as Ctrl-C.
 
     Args:
-        pipe: file descriptor that the page's answers come from; negative: there is no page.
+        pipe: file descriptor that the page's answers come from; negative: no page.
         interrupt: called with a stop that comes while nothing is asked.
     """
 
@@ -57,7 +57,7 @@ class TaskAnswers:
         return bool(part)
 
     def wait(self, prompt: str) -> str:
-        """The first answer, ``yes``, ``no`` or ``stop``; ``stop`` where nobody is left to answer."""
+        """The first answer, ``yes``, ``no`` or ``stop``; ``stop`` without a reader."""
         self._asking.set()
         terminal, wait = True, _TURN if self._has_page else None
         sys.stdout.write(prompt)

@@ -1,4 +1,4 @@
-"""What an investigation tells its page: news as JSON objects, one a line, over a pipe that nobody waits for."""
+"""What an investigation tells its page: news as JSON objects, one a line, over a pipe that is never waited for."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _MOST_ROWS = 12
 
 
 class TaskFeed:
-    """Tells the page; where it does not listen any more, or not fast enough, what is told is lost.
+    """Tells the page; where it does not listen any more, or not fast enough, the news is lost.
 
     Args:
-        pipe: file descriptor; negative: there is no page.
-        answers: file descriptor of what is answered on the page, a word a line; negative: none is.
+        pipe: file descriptor; negative: no page.
+        answers: file descriptor of the page's answers, a word a line; negative: none is.
     """
 
     def __init__(self, pipe: int = -1, answers: int = -1) -> None:

@@ -131,7 +131,7 @@ class TaskView:
         return -1
 
     def facts(self) -> bytes:
-        """The frame of what stays."""
+        """The frame of lasting content."""
         with self._lock:
             steps = [
                 {"text": step.text, "took": duration(step.ended - step.began) if math.isfinite(step.ended) else ""}
@@ -152,7 +152,7 @@ class TaskView:
             )
 
     def live(self, since: int, spectrum: bool = True) -> bytes:
-        """The frame of what moves."""
+        """The frame of changing content."""
         with self._lock:
             now = self._clock() if math.isnan(self._ended) else self._ended
             present = self._steps[-1] if self._steps and math.isnan(self._ended) else None

@@ -83,7 +83,7 @@ def open_regular(path: Path, what: str, largest: int) -> IO[bytes]:
 
 
 def read_text(path: Path, what: str, largest: int = LARGEST_TABLE) -> str:
-    """Text of a regular file in UTF-8; arguments and errors as :func:`open_regular`, or the file is no text."""
+    """Text of a regular file in UTF-8; arguments and errors as :func:`open_regular`, or the file is not a text."""
     try:
         with open_regular(path, what, largest) as file:
             return file.read(largest + 1).decode("utf-8")
@@ -94,7 +94,7 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TABLE) -> str:
 
 
 def read_rows(path: Path, what: str) -> list[list[str]]:
-    """Rows of a table whose cells commas separate; arguments and errors as :func:`read_text`, or it is no table."""
+    """Rows of a table whose cells commas separate; arguments and errors as :func:`read_text`, or it is not a table."""
     try:
         return list(csv.reader(io.StringIO(read_text(path, what))))
     except csv.Error as error:
@@ -257,7 +257,7 @@ def _check_json_number(item: float, place: str) -> None:
 
 
 def read_json(path: Path, what: str, largest: int = LARGEST_TABLE) -> dict[str, Any]:
-    """A JSON object from a regular file; errors as :func:`read_text` and :func:`json_value`, or it is no object."""
+    """A JSON object from a regular file; errors as :func:`read_text` and :func:`json_value`, or it is not an object."""
     value = json_value(read_text(path, what, largest), f"The {what} {path}")
     if not isinstance(value, dict):
         raise BenchError(f"The {what} {path} must be a JSON object.")
@@ -350,7 +350,7 @@ def _claimed_bytes(entry: IO[bytes], name: str, size: int) -> int:
 
 def _claimed_in_archive(archive: zipfile.ZipFile, item: zipfile.ZipInfo) -> int:
     if not item.filename.endswith(".npy"):
-        raise ValueError(f"'{item.filename}' in it is no array")
+        raise ValueError(f"'{item.filename}' in it is not an array")
     with archive.open(item) as entry:
         return _claimed_bytes(entry, f"'{item.filename}'", item.file_size)
 

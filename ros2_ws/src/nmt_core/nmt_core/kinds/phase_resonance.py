@@ -96,7 +96,7 @@ class PhaseResonanceTest(PhaseLockedTest):
         return self.refinement > 0.0
 
     def check(self, frequencies_hz: Sequence[float], levels: int, control: int, sample_rate: float) -> None:
-        """Refuse (BenchError) an unknown strategy, ramps of what is held, levels put into ramps or between others."""
+        """Refuse (BenchError) an unknown strategy, ramps of a held amplitude, levels inserted in ramps."""
         super().check(frequencies_hz, levels, control, sample_rate)
         if self.strategy not in STRATEGIES:
             raise BenchError(f"Strategy '{self.strategy}' is not known; use {' or '.join(STRATEGIES)}.")

@@ -41,7 +41,7 @@ class TestRequest:
         exciters: measurement point of each exciter; empty = where the rig has them.
         changes: values of the rig file that are others for this test, by their keys.
         sensors: sensors where the rig has none.
-        rig: rig file of what is tested; empty = it is not known, and a person tests it.
+        rig: rig file of the specimen; empty = it is not known, and a person tests it.
         linear: file of the linear description; empty = that of the rig's model.
         name: what its folder may be called.
     """

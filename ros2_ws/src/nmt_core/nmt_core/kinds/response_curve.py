@@ -20,7 +20,7 @@ LEAST_SPACING, LARGEST_SPACING = 0.01, 1.0
 FLOQUET_PERIODS = 20
 """Periods of a window without which it tells no Floquet exponents."""
 FLOQUET_PERTURBATION = 0.01
-"""Perturbation of the drive unless another is named: small enough for a linear answer, large beside its noise."""
+"""Perturbation of the drive unless another is named: small enough for a linear answer, large next to its noise."""
 LARGEST_PERTURBATION = 0.1
 ALONG = ("auto", "lag", "secant")
 """What a curve is stepped along, by its number in messages."""

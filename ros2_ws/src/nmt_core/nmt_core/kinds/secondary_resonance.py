@@ -30,7 +30,8 @@ class SecondaryResonanceTest(KindOfTest):
         "holds the phase of the drive's own order", "secondary resonances",
     )  # fmt: skip
     beyond_backbone: ClassVar[str] = (
-        "The reference is the backbone of a mode, and {words} is off it by what the force drives beside the resonant "
+        "The reference is the backbone of a mode, and {words} is off it by what the force drives at other orders "
+        "than the resonant "
         "order; use --reference none, or a test at phase resonance."
     )
 

@@ -16,7 +16,7 @@ PLANT_BUNDLE = "plant_bundle"
 PLL_BUNDLE = "pll_bundle"
 """Topic of the loop's drive commands and states."""
 LOOP_INPUT = "loop_input"
-"""Topic of what the loop needs of a block: force and response at the drive point."""
+"""Topic of the loop's input of a block: force and response at the drive point."""
 MOST_BYTES = 65_536
 """A bundle is full when the next block might not fit."""
 

@@ -1,7 +1,7 @@
 """Whether a command that arrives can be meant: one source, numbers that are finite, samples that can exist.
 
 Every message on a command topic names samples. One that names a sample far ahead would hold the bench until then, one
-that claims to answer a block nobody has measured would switch the lockstep rule off. A judge stands before each topic
+that claims to answer an unmeasured block would switch the lockstep rule off. A judge stands before each topic
 and says, in a sentence, why a message is not taken.
 """
 
@@ -61,7 +61,7 @@ class CommandJudge:
         source: token of the source that is accepted; None = the first whose message is plausible.
         last: last sample that an accepted message was based on, None before the first.
         accepted: messages taken.
-        missing: blocks that nobody answered, between accepted messages.
+        missing: unanswered blocks, between accepted messages.
         refused: kind -> messages not taken.
         strangers: token of a source that was refused -> its messages.
         latest: sentence about the message refused last, empty while there is none.
@@ -199,7 +199,7 @@ class CommandJudge:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Counters for diagnostics: taken, blocks nobody answered, and what was refused, by kind."""
+        """Counters for diagnostics: taken, unanswered blocks, and refusals, by kind."""
         return {
             "accepted": self.accepted,
             "missing_blocks": self.missing,

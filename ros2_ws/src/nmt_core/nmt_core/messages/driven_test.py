@@ -17,7 +17,7 @@ from nmt_core.messages.secondary_resonance import resonance_of
 from nmt_core.vocabulary import ControlKind, TestKind
 
 UNKNOWN_EXCITER = ""
-"""Kind of an exciter that nobody named, as of imported data."""
+"""Kind of an unnamed exciter, as of imported data."""
 
 
 @dataclass(frozen=True, kw_only=True)

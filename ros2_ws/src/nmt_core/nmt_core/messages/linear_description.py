@@ -205,7 +205,7 @@ def _matrix_rows(rows: Any, points: tuple[Any, ...]) -> tuple[tuple[float, ...],
 
 
 def _check_magnitudes(values: dict[str, Any]) -> None:
-    """Refuse numbers of no structure, and what is no number; NaN only where it means that a value is not known."""
+    """Refuse numbers of no structure, and what is not a number; NaN only where it means that a value is not known."""
     for key, largest in _LARGEST.items():
         if key not in values:
             continue

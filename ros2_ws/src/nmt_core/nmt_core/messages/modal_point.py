@@ -54,7 +54,7 @@ class ModalPoint:
             ``frequency_hz`` / k, see :mod:`nmt_core.messages.secondary_resonance`; 0 = phase resonance.
         held_phase: phase by which the loop let the force lead the velocity of the drive point, rad; 0 = phase
             resonance. At other phases ``frequency_hz`` is that of the excitation.
-        parameter: what was held beside the amplitude, a :class:`~nmt_core.vocabulary.CurveParameter`.
+        parameter: what was held next to the amplitude, a :class:`~nmt_core.vocabulary.CurveParameter`.
         exciter_points: measurement points of several exciters, the first's first; empty = one exciter.
         exciter_forces: F_jn of several exciters, N, one exciter's 0..H after the other's; the powers are those of
             all.

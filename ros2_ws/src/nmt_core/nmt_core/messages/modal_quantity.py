@@ -21,7 +21,7 @@ class TableColumn:
     Attributes:
         symbol: heading in plain text.
         html: heading as HTML where the symbol has an index; empty = ``symbol``.
-        unit: unit of what is printed, empty if none.
+        unit: unit as printed, empty if none.
         factor: what values are multiplied with before printing (100 for percent).
         decimals: decimal places where the uncertainty is not known.
         scaled: whether the column takes a common power of ten.

@@ -1,6 +1,6 @@
 """What a message itself calls the elements of its arrays: joints, frames, keys.
 
-A message names elements in one of two ways: by a sequence of names that runs beside others (``name`` and ``position``
+A message names elements in one of two ways: by a sequence of names that runs with others (``name`` and ``position``
 of a JointState), or by a field of each element (``child_frame_id`` of a transform, ``key`` of a pair). The place of an
 element may change from message to message; its name does not.
 """

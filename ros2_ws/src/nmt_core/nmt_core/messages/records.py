@@ -21,7 +21,7 @@ from nmt_core.vocabulary import (
 
 
 class DriveTerm(NamedTuple):
-    """A term of a periodic drive beside its fundamental at exciter 1; ``nmt_msgs/Drive``.
+    """A term of a periodic drive next to its fundamental at exciter 1; ``nmt_msgs/Drive``.
 
     Attributes:
         exciter: which exciter, from 1.
@@ -49,7 +49,7 @@ class DriveCommand(NamedTuple):
         based_on_sample: last sample the command was computed from.
         band_low_hz, band_high_hz: band edges of RANDOM.
         rate_hz_s, frequency_end_hz: rate of SWEEP and where it holds.
-        terms: what every exciter gets beside the fundamental at exciter 1. An absolute term of order 1 turns the
+        terms: what every exciter gets next to the fundamental at exciter 1. An absolute term of order 1 turns the
             fundamental and changes its size. Of RANDOM rms over the amplitude, each exciter with a noise of its own.
     """
 
@@ -145,7 +145,7 @@ class LockEvent:
         response_order, force_order: k and ν of a secondary resonance; 0 = none.
         held_phase: phase by which the held force leads the velocity of the drive point, rad.
         perturbation: rms of the multisine that changes the drive within the window, over its amplitude; 0 = none.
-        parameter: what is held beside the amplitude, a :class:`~nmt_core.vocabulary.CurveParameter`.
+        parameter: what is held next to the amplitude, a :class:`~nmt_core.vocabulary.CurveParameter`.
     """
 
     level_index: int

@@ -43,7 +43,7 @@ class RunAnnouncement:
         """Read the text of the topic.
 
         Raises:
-            ValueError: it is no announcement.
+            ValueError: it is not an announcement.
         """
         given = _object(text)
         goal, run_id, plan = given.get("goal", ""), given.get("run_id", ""), given.get("plan", {})
@@ -83,13 +83,13 @@ class BagState:
         """Read the text of the topic.
 
         Raises:
-            ValueError: it is no state of a bag.
+            ValueError: it is not a state of a bag.
         """
         given = _object(text)
         try:
             state = cls(**{item.name: given[item.name] for item in fields(cls) if item.name in given})
         except TypeError as error:
-            raise ValueError(f"this is no state of a bag: {error}") from error
+            raise ValueError(f"this is not a state of a bag: {error}") from error
         if not all(isinstance(text, str) for text in (state.path, state.state, state.reason, state.goal)):
             raise ValueError("path, state, reason and goal of a bag's state are texts")
         return state

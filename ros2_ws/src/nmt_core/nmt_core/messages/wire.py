@@ -152,7 +152,7 @@ class BlockReader:
 
         Raises:
             ValueError: as :meth:`read`.
-            IndexError: there is no such channel.
+            IndexError: no such channel exists.
         """
         layout = self._layout_of(raw)
         channels = len(layout.values[2])

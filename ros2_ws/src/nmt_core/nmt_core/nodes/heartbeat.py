@@ -54,7 +54,7 @@ class Heartbeat:
 
     @contextlib.contextmanager
     def watched_work(self) -> Iterator[None]:
-        """Have a thread beside the working one that says on ``/diagnostics`` how long the work takes, if it is long.
+        """Have a thread next to the working one that says on ``/diagnostics`` how long the work takes, if it is long.
 
         The node is ``busy`` then and stays alive to others; beyond the time-out, and in lockstep when it could have
         worked for `nmt_core.nodes.liveness.HANG_LIMIT`, it is ``hung``, which is an error.

@@ -47,11 +47,11 @@ class Identity:
         self._intruder = ""
 
     def claim(self, topic: str) -> None:
-        """Watch that nobody else publishes on a topic that is this node's own."""
+        """Watch that no other node publishes on a topic that is this node's own."""
         self.topics.append(topic)
 
     def claim_service(self, name: str) -> None:
-        """Watch that nobody else serves a service of this node."""
+        """Watch that no other node serves a service of this node."""
         self._services.append(name)
 
     def watch_commands(self, topic: str, message_type: str) -> None:
@@ -107,7 +107,7 @@ class Identity:
 
     @property
     def intruder(self) -> str:
-        """A sentence on who does the work of this node, by the last look; empty if nobody does."""
+        """A sentence on who does the work of this node, by the last look; empty if none."""
         return self._intruder
 
     def second_command(self) -> str:

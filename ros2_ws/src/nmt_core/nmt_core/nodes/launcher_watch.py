@@ -1,4 +1,4 @@
-"""Whether the program that started the nodes is stopped (Ctrl-Z, SIGSTOP), so that nobody attends to a run."""
+"""Whether the program that started the nodes is stopped (Ctrl-Z, SIGSTOP), so that a run is unattended."""
 
 from __future__ import annotations
 

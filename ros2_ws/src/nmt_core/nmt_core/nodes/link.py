@@ -39,7 +39,7 @@ _PREFIX = {topic: bytes((number,)) for number, topic in enumerate(_TOPICS)}
 _LONGEST = 262_144  # bytes; the kernel takes 212,992
 _SENDER = struct.Struct("iII")  # process, user, group
 _ROOM = socket.CMSG_SPACE(_SENDER.size)
-_GONE = (errno.ECONNREFUSED, errno.ENOTCONN, errno.ECONNRESET)  # nobody has that name, or he who had it has ended
+_GONE = (errno.ECONNREFUSED, errno.ENOTCONN, errno.ECONNRESET)  # the name is unused, or its owner has ended
 _SHORT_QUEUE = 8  # datagrams read in a row after which more may wait at their senders
 _MORE = 1  # ms that they get to send them
 
@@ -160,7 +160,7 @@ class Link:
         return all(sent)
 
     def waiting(self) -> list[int]:
-        """Descriptors of what has messages left for a reader; a poll says when that has room."""
+        """Descriptors of links with messages left for a reader; a poll says when that has room."""
         return [box.fileno() for box in self._outboxes.values() if box.bytes]
 
     @property
@@ -215,7 +215,7 @@ def serve(links: Sequence[Link], seconds: float) -> None:
 
 
 def serve_late(link: Link, seconds: float) -> None:
-    """Sleep for a while (s), then hand on what has come over a link: nobody is woken for every message.
+    """Sleep for a while (s), then hand on what has come over a link: a wake-up serves several messages.
 
     The queue of a link is short. Where it was full its senders get a moment for each further message; otherwise no more
     than one queue would be taken at a time, however much waits.

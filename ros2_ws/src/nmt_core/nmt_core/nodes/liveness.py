@@ -20,7 +20,7 @@ BUSY = "busy"
 HANG_LIMIT = 60.0  # s with a processor at hand, 3,000 blocks of 20 ms, after which a node in lockstep hangs
 _OVERDUE = 1.0  # s without a heartbeat, of which there are four a second, after which its process is looked at
 _FOR_GOOD = 1.0  # s without the process before, which beats four times a second
-_DEAF = 1.0  # s without listening after which nobody else is to blame for the silence
+_DEAF = 1.0  # s without listening after which the silence is this node's own
 
 
 @dataclass

@@ -15,7 +15,7 @@ _LAST_WORDS = 3.0  # s
 class Outlet:
     """A publisher of serialised messages.
 
-    A message that nobody takes is not handed to the middleware, unless it is kept for those who come later.
+    A message without a reader is not handed to the middleware, unless it is kept for those who come later.
 
     Args:
         publisher: of rclpy.

@@ -49,7 +49,7 @@ def njit(*function: Any, **options: Any) -> Any:
     """``numba.njit``, whose ``cache=True`` is keyed by the formulas; without a folder to write to nothing is cached.
 
     A constant that is handed over makes no version of the function of its own: numba would compile one for each -1,
-    True and False beside that for any number.
+    True and False next to that for any number.
     """
     cached = options.pop("cache", False)
 
@@ -191,7 +191,7 @@ def _alone(path: Path) -> Iterator[None]:
 
 
 def cache_folder(python_function: Any) -> Path | None:
-    """Where the compiled code of a function is kept: ``NUMBA_CACHE_DIR``, beside its module, or the user's cache.
+    """Where the compiled code of a function is kept: ``NUMBA_CACHE_DIR``, next to its module, or the user's cache.
 
     Returns:
         A folder that exists; None if none can be written to.
@@ -254,7 +254,7 @@ class _Digest:
         self._total.update("\0".join(map(str, parts)).encode() + b"\1")
 
     def _first(self, thing: Any) -> bool:
-        """Whether a part is met for the first time; where it was met before is told instead."""
+        """Whether a part is met for the first time; else where it was met before."""
         if id(thing) in self._met:
             self._write("as", list(self._met).index(id(thing)))
             return False

@@ -15,7 +15,7 @@ def die_with_parent() -> None:
 
     In a child before it starts its program, or in a process that has just been adopted. Where it is stopped then, it
     hears of it all the same if it leads a group of its own in the session of its parent: the kernel lets the stopped
-    members of a group go on when nobody outside it is left who could.
+    members of a group continue when no process outside it can.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -37,7 +37,7 @@ class ProcessWatch:
         process: its id.
 
     Raises:
-        OSError: there is no such process, or this system does not let it be watched.
+        OSError: no such process, or exists this system does not let it be watched.
     """
 
     def __init__(self, process: int) -> None:
@@ -79,7 +79,7 @@ class ProcessWatch:
             now: s of the steady clock; None = the present.
 
         Returns:
-            s in which it could have worked, because no thread of it waited for a processor and nobody had stopped it,
+            s in which it could have worked, because no thread of it waited for a processor and it was not stopped,
             and s of processor time that it used. A look that comes late counts for no more than `_LONGEST_LOOK`.
         """
         now = time.monotonic() if now is None else now

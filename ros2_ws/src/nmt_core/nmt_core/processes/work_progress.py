@@ -1,7 +1,7 @@
 """What long work tells of itself while it goes on: what is being done, and how much of it is done.
 
 Code that works for seconds calls :func:`tell`; whoever wants to know, the command line for one, listens with
-:func:`listening`. Where nobody listens nothing happens.
+:func:`listening`. Without a listener nothing happens.
 """
 
 from __future__ import annotations

@@ -37,8 +37,8 @@ STATEMENTS = (
         "no gap",
         "Noise and repeatability explain what lies between model and data.",
         "No channel leaves half of its signal, and where the data lie two standard deviations off, no row leaves what "
-        "matters; the noise is no more than neighbouring rows scatter.",
-        "`unknown`, with the channel, or the size and place of what is left.",
+        "matters; the noise does not exceed the scatter of neighbouring rows.",
+        "`unknown`, with the channel, or the size and place of the residual.",
         "nmt_diagnose.ledger.size:contradiction",
         f"{_DIAGNOSE}court/test_no_gap.py::test_no_gap_is_said_beside_no_figure_that_contradicts_it",
     ),
@@ -53,7 +53,7 @@ STATEMENTS = (
     Statement(
         "effect",
         "An effect of the library acts.",
-        "Without it rows leave what matters, though model and measuring chain go as far as is believed of them.",
+        "Without it rows leave what matters, though model and measuring chain vary within their priors.",
         "The error of the chain or the parameter, with its size; no effect.",
         "nmt_diagnose.ledger.size:left_within_belief",
         f"{_DIAGNOSE}court/test_effects.py::test_a_healthy_table_has_no_effect",
@@ -69,8 +69,8 @@ STATEMENTS = (
     ),
     Statement(
         "second effect",
-        "Another effect acts beside the first.",
-        "The same, beside the explanation by the first alone.",
+        "Another effect acts with the first.",
+        "The same, compared with the first effect alone.",
         "The first alone.",
         "nmt_diagnose.ledger.size:needed",
         f"{_DIAGNOSE}test_what_is_asked.py::test_an_effect_is_needed_where_the_fit_without_it_leaves_something_that_matters",
@@ -94,8 +94,8 @@ STATEMENTS = (
     Statement(
         "adequate",
         "The explanation is the whole of the gap.",
-        "What it leaves is noise or smaller than what matters, and no parameter is where nobody believes it.",
-        "A part, with what is left.",
+        "What it leaves is noise or smaller than what matters, and no parameter is implausible.",
+        "A part, with the residual.",
         "nmt_diagnose.ledger.size:left_over",
         f"{_DIAGNOSE}test_rules.py::test_a_part_is_asked_after_the_whole",
     ),
@@ -110,7 +110,7 @@ STATEMENTS = (
     Statement(
         "unknown",
         "Something acts that the library lacks.",
-        "Rows leave what matters beyond the noise, with model and chain as far as is believed of them.",
+        "Rows leave what matters beyond the noise, with model and chain within their priors.",
         "`none` or `calibration`.",
         "nmt_diagnose.ledger.size:leaves_something",
         f"{_DIAGNOSE}test_what_is_asked.py::test_an_error_of_the_chain_counts_where_rows_leave_what_matters_without_it",
@@ -150,7 +150,7 @@ STATEMENTS = (
     Statement(
         "unstable",
         "A point of a response curve is unstable in open loop.",
-        "The frequency falls through it, clearly, from point to point; beside a fold its place tells.",
+        "The frequency falls through it, clearly, from point to point; near a fold its place decides.",
         "Its stability is left open.",
         "nmt_extract.curves.curve_checks:rises",
         "tests/extract/test_curve_checks.py::test_points_in_the_noise_of_a_flat_branch_are_left_open",
@@ -166,7 +166,7 @@ STATEMENTS = (
     Statement(
         "force surface",
         "The force between measured amplitudes.",
-        "The frequency was measured at both amplitudes beside it.",
+        "The frequency was measured at both neighbouring amplitudes.",
         "Between which amplitudes nothing is known.",
         "nmt_extract.curves.curve_checks:overlap",
         "tests/extract/test_curve_checks.py::test_nothing_is_said_of_the_force_where_measured_frequencies_do_not_overlap",

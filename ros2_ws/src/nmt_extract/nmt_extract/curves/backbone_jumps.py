@@ -6,7 +6,7 @@ beyond that, J, is a jump where it exceeds what slopes that differ and curve can
     J = y₂ − y₁ − ½ (s₁ + s₂) Δx,    |J| > |s₂ − s₁| |Δx| + 3 (e₁ + e₂) + 5 σ,
 
 with x = ln(level), y = ln(frequency), e the change of y that the curvature of each side makes over half the step, and σ
-the standard uncertainty of y₂ − y₁. Its mean slope is at least twice those beside it. A part of the backbone that is
+the standard uncertainty of y₂ − y₁. Its mean slope is at least twice those next to it. A part of the backbone that is
 steeper than the steps resolve looks the same.
 """
 
@@ -21,7 +21,7 @@ from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
 
 _LEAST = 3e-4  # relative jump of the frequency that is named
-_STEEPER = 2.0  # mean slope of a jump over those beside it, at least
+_STEEPER = 2.0  # mean slope of a jump over those next to it, at least
 _ALIKE = 1e-6  # relative difference of levels that are the same
 _DIFFERENT = 5e-4  # relative difference of frequencies of the two directions that is named
 

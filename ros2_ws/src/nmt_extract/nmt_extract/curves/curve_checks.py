@@ -121,7 +121,7 @@ def reached_minima(forces: FloatArray, forces_std: FloatArray) -> tuple[int, ...
 
     Args:
         forces: least force over frequency at each held amplitude, ascending amplitudes, N; NaN where it lies at an end
-            of what was measured, or where frequencies of neighbouring amplitudes do not overlap.
+            of measured ones, or where frequencies of neighbouring amplitudes do not overlap.
         forces_std: standard uncertainties, same shape.
 
     Returns:

@@ -190,7 +190,7 @@ class ForceSurface:
         return low, high
 
     def is_known(self, frequency_hz: FloatArray, response: FloatArray) -> BoolArray:
-        """Whether frequencies (Hz) were measured at both amplitudes beside responses (m) of one shape."""
+        """Whether frequencies (Hz) were measured at both amplitudes next to responses (m) of one shape."""
         above = np.searchsorted(self.amplitude, response, side="left").clip(0, self.amplitude.size - 1)
         at = np.isclose(self.amplitude[above], response, rtol=1e-9)
         below = np.where(at, above, np.maximum(above - 1, 0))
@@ -263,7 +263,7 @@ class ForceSurface:
         return tuple(sorted(found, key=lambda item: item.birth_force))
 
     def _least_along(self, valleys: FloatArray, chosen: IntArray, k: int) -> tuple[float, float]:
-        """Response (m) and least force (N) beside a held amplitude, on the spline through those that are chosen."""
+        """Response (m) and least force (N) next to a held amplitude, on the spline through those that are chosen."""
         spline = CubicSpline(self.amplitude[chosen], valleys[chosen, 1])
         best = minimize_scalar(
             spline,
@@ -323,7 +323,7 @@ def _words_of(surface: ForceSurface, isola: Isola) -> str:
 
 _BEYOND = 1.1  # of the force at birth, at which folds are named
 _NEEDED = ("frequency_hz", "response", "force", "lag")
-_COARSE_SHARE = 0.2  # of what changes without an amplitude: its neighbours are then twice as far apart
+_COARSE_SHARE = 0.2  # of the change without an amplitude: its neighbours are then twice as far apart
 
 
 def _fit(

@@ -29,7 +29,7 @@ class LimitCycle:
     """One limit cycle.
 
     Attributes:
-        modal_amplitude, modal_amplitude_std: q, m√kg; the uncertainty is that of the damping ratios beside it
+        modal_amplitude, modal_amplitude_std: q, m√kg; the uncertainty is that of the damping ratios next to it
             and of the way between them: the distance to where a straight line is zero.
         omega_rad_s: ω̃ there, rad/s.
         stable: whether a free motion settles at it.

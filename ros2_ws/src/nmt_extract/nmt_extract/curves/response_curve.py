@@ -16,7 +16,7 @@ is their distance along the curve, that of (ϑ, ln x, 10 ln Ω), which then stan
   place tells, beyond two standard uncertainties. All else is left open.
 * Floquet exponents, where the drive was perturbed: see :mod:`nmt_extract.modal.floquet_exponents`.
 
-Uncertainties of folds and tip have three parts: that of the values they hang on, a third of what changes when every
+Uncertainties of folds and tip have three parts: that of the values they hang on, a third of the change when every
 second point is left out, the even ones or the odd ones (the error of a cubic spline falls to a sixteenth when the
 distance of its points is halved, and by less where they do not lie evenly), and what the spline adds to the outermost
 point. Where every second point shows no such place, it may lie anywhere between the points that bracket it.
@@ -178,7 +178,7 @@ class ResponseCurve:
             return np.full(self.lag.size, math.nan)
         found = curve_checks.rises(self.frequency_hz, self.frequency_hz_std)
         turns = self._turns(self.frequency_hz, self.frequency_hz_std)
-        for turn, fold in zip(turns, self.folds, strict=True):  # what lies beside a fold that measured points bracket
+        for turn, fold in zip(turns, self.folds, strict=True):  # what lies next to a fold that measured points bracket
             inner = np.arange(turn.first + 1, turn.last)
             away = self.place[inner] - fold.position
             clear = np.abs(away) > COVERAGE * np.hypot(fold.position_std, self._place_std[inner])
@@ -290,7 +290,7 @@ def _weights(lag: FloatArray, place: float, order: int) -> FloatArray:
 
 
 def _words_of_floquet(curve: ResponseCurve) -> str:
-    """What the exponents say beside the direction of the branch; empty where none were measured."""
+    """What the exponents say next to the direction of the branch; empty where none were measured."""
     measured = ~np.isnan(curve.floquet_stable)
     both = measured & ~np.isnan(curve.stable)
     apart = both & (curve.floquet_stable != curve.stable)

@@ -29,7 +29,7 @@ def write_response_csv(tables: Sequence[FrequencyResponseTable], path: Path | st
         BenchError: no tables, tables of different channels, or the file cannot be written.
     """
     if not tables:
-        raise BenchError("There is no frequency response to write.")
+        raise BenchError("No frequency response can be written.")
     channels = tables[0].channels
     if any(table.channels != channels for table in tables):
         raise BenchError("The levels of this sweep have different response channels.")
@@ -49,7 +49,7 @@ def read_response_csv(path: Path | str) -> list[FrequencyResponseTable]:
     """Read ``frf.csv`` of a sweep.
 
     Raises:
-        BenchError: not there, other columns, or a value that is no number.
+        BenchError: not there, other columns, or a value that is not a number.
     """
     rows = read_rows(Path(path), "table of responses")
     fixed = len(FIXED_COLUMNS)

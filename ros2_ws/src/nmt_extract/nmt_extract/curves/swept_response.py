@@ -165,7 +165,7 @@ def swept_response(
         first_sample: sample of ``data[:, 0]``.
 
     Raises:
-        BenchError: the stretch is no longer than the kernel, or its phase is not known.
+        BenchError: the stretch is not longer than the kernel, or its phase is not known.
     """
     samples = cycles.shape[0]
     if data.shape[1] != samples:
@@ -194,8 +194,8 @@ def swept_response(
     orders = max(1, resolvable_harmonics(harmonics, sample_rate / frequency))
     amplitudes = np.empty((len(channels), orders, centres.size), dtype=np.complex128)
     noise = np.empty((len(channels), centres.size))
-    beside = _beside_hz(kernel)
-    swing = np.exp(2j * np.pi * beside * np.arange(-half, half + 1) / sample_rate)
+    offset_hz = _offset_hz(kernel)
+    swing = np.exp(2j * np.pi * offset_hz * np.arange(-half, half + 1) / sample_rate)
     frequencies = np.empty(centres.size)
     for k, centre in enumerate(centres):
         part = slice(centre - half, centre + half + 1)
@@ -229,8 +229,8 @@ def _weighted(window: FloatArray, weights: ComplexArray) -> ComplexArray:
     return np.asarray(parts[:, 0] + 1j * parts[:, 1])
 
 
-def _beside_hz(kernel: OrderKernel) -> float:
-    """Distance from the line at which the noise beside it is looked at: outside the main lobe of the kernel, Hz."""
+def _offset_hz(kernel: OrderKernel) -> float:
+    """Distance from the line at which the noise next to it is looked at: outside the main lobe of the kernel, Hz."""
     return 8.0 / kernel.duration
 
 
@@ -371,7 +371,7 @@ def stepped_table(points: list[SteppedPoint], level: float, level_unit: str) -> 
         BenchError: no points.
     """
     if not points:
-        raise BenchError("No frequency of the stepped sine became stationary, so there is no response to show.")
+        raise BenchError("No frequency of the stepped sine became stationary, so no response can be shown.")
     return FrequencyResponseTable(
         level,
         level_unit,

@@ -66,7 +66,7 @@ class FreeDecay:
     def mean(self, name: str) -> tuple[float, float]:
         """Mean of a quantity over the decay, weighted by its uncertainties, and the standard uncertainty of it.
 
-        It is no smaller than that of the best segment; a quantity that changes with
+        It is not smaller than that of the best segment; a quantity that changes with
         amplitude adds its scatter.
         """
         values, std = getattr(self, name), getattr(self, f"{name}_std")

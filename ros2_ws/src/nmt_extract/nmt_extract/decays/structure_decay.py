@@ -105,8 +105,8 @@ def decay_of(data: FloatArray, sample_rate: float, linear: LinearDescription, qu
         ratios, relative = zip(*(ratio_at(node, slow, values) for node in nodes), strict=True)
         return np.array(ratios), np.array(relative) * np.abs(ratios)
 
-    beside = [over_target(row)[0] for mode, row in enumerate(modal) if mode != target]
-    size = np.sqrt(1.0 + sum((np.abs(row) ** 2 for row in beside), np.zeros(len(nodes))))
+    others = [over_target(row)[0] for mode, row in enumerate(modal) if mode != target]
+    size = np.sqrt(1.0 + sum((np.abs(row) ** 2 for row in others), np.zeros(len(nodes))))
     force, force_std = over_target(data[0])
     drive, drive_std = over_target(data[1 + linear.points.index(linear.drive_point)])
     # The displacement is the response over this operator.

@@ -2,7 +2,7 @@
 
 A gain is one real factor of one channel at every level. A near mode takes part as force and frequency let it: hardly
 where the frequency is still that of the linear mode, and by a shape that is known. So the shapes of all levels so far
-are fitted twice, with the modes alone and with one channel's gain beside them.
+are fitted twice, with the modes alone and with one channel's gain next to them.
 
 The reference is the linear description. Shapes of a test with the same channels have the same gains in them: such a
 gain fits, and nothing is found. A channel that is not named is not thereby known to be right.
@@ -103,7 +103,7 @@ class _Fit:
     Args:
         levels: shapes.
         linear: modes.
-        near: those beside the target.
+        near: those next to the target.
     """
 
     def __init__(self, levels: Sequence[ShapeLevel], linear: LinearDescription, near: Sequence[int]) -> None:
@@ -127,7 +127,7 @@ class _Fit:
         ratios, std = np.ones(len(self.linear.points)), math.nan
         for _ in range(_STEPS):
             matrix, value, slope = self._system(ratios, index)
-            # What is left of the slope and of the value once all else is fitted.
+            # The residual of the slope and of the value once all else is fitted.
             free = np.linalg.lstsq(matrix, np.stack([value, slope], axis=1), rcond=None)[0]
             value, slope = value - matrix @ free[:, 0], slope - matrix @ free[:, 1]
             size = float(slope @ slope)

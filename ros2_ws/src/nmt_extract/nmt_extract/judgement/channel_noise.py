@@ -17,7 +17,7 @@ def noise_rms(data: FloatArray, moments: Moments, amplitudes: ComplexArray) -> F
 
     Args:
         data: shape ``(channels, samples)``.
-        moments: of the parts of the window; a level that still changes from part to part is no noise.
+        moments: of the parts of the window; a level that still changes from part to part is not noise.
         amplitudes: harmonics 0..H of each part, shape ``(parts, channels, H + 1)``.
 
     Returns:
@@ -48,7 +48,7 @@ def noise_jumps(
     Args:
         noise, rms, before: of each row: what no harmonic explains, all, and the noise of the level before.
         rows: that are judged.
-        unrepeated: rms of what does not come again a period later, by row: slip has harmonics beyond those fitted.
+        unrepeated: rms of the part that does not repeat a period later, by row: slip has harmonics beyond those fitted.
     """
     rise = {row: noise[row] / max(before[row], 1e-6 * rms[row], 1e-300) for row in rows}
     found = {}

@@ -95,7 +95,7 @@ def _fundamental_gain(
         )
 
     def rows(states: Sequence[DriveState]) -> tuple[ComplexArray, ComplexArray, FloatArray]:
-        """Factors of K, and of what c and k/ω₀ have beyond the start; what F is with the start; its deviation."""
+        """Factors of K, and of the excess of c and k/ω₀ over the start; F with the start; its deviation."""
         force, speed, force_std, speed_std = (np.array(each) for each in zip(*map(fundamental, states), strict=True))
         voltage, at = np.array([state.voltage for state in states]), np.array([state.omega for state in states])
         factors = np.stack([voltage, 1j * voltage, -speed * open_z, 1j * speed * open_z * omega / at], axis=1)

@@ -14,7 +14,7 @@ from nmt_core.numerics.arrays import ComplexArray
 _LEAST = 0.02  # of the largest value: smaller deviations do not matter
 _CLOSE = 0.1  # distance of modes near the frequency, of it
 _FASTER, _ADDED = 5.0, 0.01  # how much faster over ln q than before a near mode may come in; of the target's share
-_MIXED = 3.0  # share of a near mode over the shift of the frequency beside its distance
+_MIXED = 3.0  # share of a near mode over the shift of the frequency next to its distance
 _APART, _KEPT = 0.2, 0.2  # ln q between levels that tell; change of a share that stays, of it
 
 
@@ -23,7 +23,7 @@ class Course(NamedTuple):
 
     Attributes:
         place: ln of the modal amplitude (m√kg).
-        shares: participation of the near modes beside the target's, shape ``(modes,)``.
+        shares: participation of the near modes next to the target's, shape ``(modes,)``.
         shift: of the frequency from the target's linear one, of the distance to the nearest near mode.
     """
 

@@ -1,10 +1,10 @@
 """Each channel of a window judged by what the others say: dead, flat-topped, off its shape, noisy.
 
-A fault is told from a nonlinear shape by where it sits. A structure that changes its shape changes it at many points;
-without a faulty channel the rest of the shape fits its neighbour, or the linear modes, much better than with it. Where
-other modes lie near the frequency, and where the shape moved from level to level before, it may move on by them: what
-fits is then the span of all of these. Where there are too few points for that, a shape that moves as it did before is
-none that a fault makes; any other leaves open which of both it is, and nothing is left out.
+A fault is distinguished from a nonlinear shape by where it sits. A structure that changes its shape changes it at many
+points; without a faulty channel the rest of the shape fits its neighbour, or the linear modes, much better than with
+it. Where other modes lie near the frequency, and where the shape moved from level to level before, it may move on by
+them: what fits is then the span of all of these. Where there are too few points for that, a shape that moves as it did
+before is none that a fault makes; any other leaves open which of both it is, and nothing is left out.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _LEAST_DOUBT = 0.002  # of the largest value
 
 @dataclass(frozen=True)
 class Deviation:
-    """A channel beside what the others predict of it.
+    """A channel next to what the others predict of it.
 
     Attributes:
         index: of the point in the shape.

@@ -14,7 +14,7 @@ from nmt_signals.harmonics import segment_moments, solve_moments, synthesise
 
 _LEAK = 1e-5  # of the fundamental: what a drift may add to it unseen
 _SURE = 6.0  # standard deviations
-_ROUNDED = math.sqrt(2.0 * 1.2020569) / math.pi**2  # of a step and of the root of it beside the amplitude, see below
+_ROUNDED = math.sqrt(2.0 * 1.2020569) / math.pi**2  # of a step and of the root of it next to the amplitude, see below
 
 
 def drifting(means: FloatArray, fundamental: FloatArray, noise: FloatArray, samples: int, periods: int) -> list[int]:
@@ -79,7 +79,7 @@ def resolution_floor(values: FloatArray, places: int, noise: float) -> float:
     Args:
         values: of the channel.
         places: of the period at which samples lie.
-        noise: rms of what no harmonic explains.
+        noise: rms without the harmonics.
     """
     step = resolution(values)
     if noise > 0.5 * step > 0.0:
@@ -101,7 +101,7 @@ def floors(
         values: of the point, by name.
         periods: in the window.
         indicators: mode indicators too. Resolution moves them in second order only; of samples that come from elsewhere
-            nobody knows more than their resolution.
+            only their resolution is known.
     """
     relative = {"omega_rad_s": force / (2.0 * math.pi * periods)}
     for quantity in QUANTITIES:

@@ -21,7 +21,7 @@ def sub_window_count(periods: int, wanted: int = 10) -> int:
 
     Ten by default: the stated uncertainty is then itself known to 1/√(2(K − 1)) = 24 %, while each sub-window
         of the
-    usual 80 to 200 periods is still long (8 to 20 periods) beside the periods over which a lightly damped
+    usual 80 to 200 periods is still long (8 to 20 periods) compared with the periods over which a lightly damped
     structure or the loop's filter correlates the noise. A sub-window has at least two periods.
 
     Args:
@@ -46,7 +46,7 @@ def jackknife(values: FloatArray, whole: float) -> float:
     """Standard uncertainty from delete-one values.
 
     The jackknife's estimate of the bias is added in quadrature: noise alone lowers indicators that are
-    largest without it (PBMIF, fundamental contents, MAC), and this bias is no part of the scatter. It
+    largest without it (PBMIF, fundamental contents, MAC), and this bias does not belong to the scatter. It
     vanishes for linear quantities.
 
     Args:

@@ -380,7 +380,7 @@ def read_totals(path: Path | str) -> dict[int, dict[str, float]]:
     """Total standard uncertainties of ``uncertainty.json``: number of the level -> name of the quantity -> total.
 
     Raises:
-        BenchError: it cannot be read or is no such file.
+        BenchError: it cannot be read or is not such a file.
     """
     document = read_json(Path(path), "uncertainty budget")
     try:

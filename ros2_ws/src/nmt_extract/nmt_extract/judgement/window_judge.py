@@ -377,7 +377,7 @@ def burst_part(residuals: FloatArray, rms: float) -> int | None:
     """The part of a window in which a channel departs from its harmonics far more than in the others.
 
     Args:
-        residuals: rms of what no harmonic explains in each part, shape ``(parts,)``.
+        residuals: rms without the harmonics in each part, shape ``(parts,)``.
         rms: of the channel.
     """
     worst = int(np.argmax(residuals))
@@ -389,7 +389,7 @@ def burst_parts(residuals: FloatArray, amplitudes: FloatArray) -> NDArray[np.boo
     """Which of many overlapping parts a channel departs in from what is fitted.
 
     Args:
-        residuals: rms of what the fit of each part leaves, shape ``(parts,)``.
+        residuals: rms of the residual of each part, shape ``(parts,)``.
         amplitudes: of the channel in each part, same shape.
     """
     share = residuals / np.maximum(amplitudes, 1e-300)
@@ -404,7 +404,7 @@ def burst_span(residual: FloatArray) -> tuple[int, int]:
 
 def part_residuals(data: FloatArray, moments_projections: ComplexArray, amplitudes: ComplexArray,
                    bounds: IntArray) -> FloatArray:  # fmt: skip
-    """rms of what the harmonics of each part do not explain, shape ``(parts, channels)``."""
+    """rms of each part without its harmonics, shape ``(parts, channels)``."""
     squares = np.stack([np.einsum("cs,cs->c", *(data[:, first:end],) * 2) for first, end in _pairs(bounds)])
     explained = (amplitudes * moments_projections).real.sum(axis=2)
     return np.asarray(np.sqrt(np.maximum(squares - explained, 0.0) / np.diff(bounds)[:, np.newaxis]))

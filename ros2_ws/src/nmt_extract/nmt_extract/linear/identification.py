@@ -44,8 +44,8 @@ SAME_BANDWIDTH_SHARE = 0.02
 """Distance of two fitted poles over the half-power half-width below which they are one mode."""
 SAME_SHAPE = 0.95
 """MAC of two modes above which they may be one."""
-_ORDER = 3  # degree of the polynomials beside the poles
-_INVERTED = 0.1  # of the largest driving-point residue, from which on a negative one is no noise
+_ORDER = 3  # degree of the polynomials next to the poles
+_INVERTED = 0.1  # of the largest driving-point residue, from which on a negative one is not noise
 SEGMENTS = 10
 """Segments without overlap into which the record is cut for the averages, where nothing else is asked for."""
 
@@ -60,7 +60,7 @@ class _Channels:
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Responses and what is measured at the exciters beside them."""
+        """Responses and what is measured at the exciters next to them."""
         return _unique(*self.responses, *self.drives)
 
     @property
@@ -310,7 +310,7 @@ class _Record:
         return np.asarray((magnitude - 1j * fit.eigenvalues.real) / (2.0 * np.pi))
 
     def half_width(self, pole: StablePole, others: list[StablePole]) -> float:
-        """Of the band of a fit, Hz: wide beside the resonance and the plant's, narrow beside the next mode.
+        """Of the band of a fit, Hz: wide next to the resonance and the plant's, narrow next to the next mode.
 
         So many inputs tell as many close modes apart, which are then fitted together.
         """
@@ -434,7 +434,7 @@ def scaled_mode(
     if square.real <= 0.0 or damped <= 0.0 or driving.min() < -_INVERTED * driving.max():
         raise BenchError(
             "its drive-point residue has the wrong sign: the force or the response at the drive point is inverted, or "
-            "it is no mode"
+            "it is not a mode"
         )
     scale = np.sqrt(square)
     shapes = column / scale

@@ -54,7 +54,7 @@ def fit_residuals(
     modes: Sequence[tuple[FloatArray, float, float]],
     band_hz: tuple[float, float],
 ) -> Residuals:
-    """Least squares of what the modes leave of the measured receptance.
+    """Least squares of the measured receptance without the modes.
 
     Lines near a resonance count little: there the modes' own errors and the window's leakage (2 % of the modes'
     receptance are assumed) exceed the residuals.

@@ -58,7 +58,7 @@ class LinearMode:
         shape_std: standard uncertainty of ``shape``.
         drive_shapes, drive_shape_stds: at the exciters' points, shape ``(exciters,)``.
         products: φ_p φ_d of responses and forces as they were measured, complex, 1/kg, shape ``(outputs, exciters)``:
-            the response points, then what is measured at the exciters beside them.
+            the response points, then what is measured at the exciters next to them.
         product_stds: standard uncertainties of their real and of their imaginary parts.
         averaged: the stable pole it was found by, from the averaged spectra.
         coherence: share of the best response's power around the mode that the fit explains; free of leakage.
@@ -131,7 +131,7 @@ class LinearTest:
 
     Attributes:
         points: response points, rows of the shapes.
-        forces, outputs: names of the channels: forces, responses and what is measured at the exciters beside them.
+        forces, outputs: names of the channels: forces, responses and what is measured at the exciters next to them.
         modes: kept modes, ascending frequency.
         further_modes: modes found in the band that were not kept.
         target: index of the target mode among ``modes``.

@@ -146,7 +146,7 @@ def _stable(diagram: list[OrderPoles]) -> list[StablePole]:
 
     A run may start at any order; it ends where no pole of the next order lies within the tolerances. Runs that meet
     (within the frequency tolerance of each other) are one mode: the longest counts. Damping above ``HIGHEST_DAMPING``
-    is no mode.
+    is not a mode.
     """
     runs: list[list[tuple[int, int]]] = []
     open_runs: dict[int, list[tuple[int, int]]] = {}

@@ -1,4 +1,4 @@
-"""Uncertainty budget of what was extracted from a bag."""
+"""Uncertainty budget of an extraction from a bag."""
 
 from __future__ import annotations
 

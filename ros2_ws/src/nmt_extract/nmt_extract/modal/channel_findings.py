@@ -32,7 +32,8 @@ def still_or_cut(window: Window, rows: Sequence[int], samples_per_period: Mappin
     Args:
         window: all channels.
         rows: that are judged.
-        samples_per_period: of what each channel mainly does, by row; a row that is absent is not searched for a cut.
+        samples_per_period: of the main component of each channel, by row; a row that is absent is not searched for a
+            cut.
     """
     faults = {}
     for row in rows:
@@ -143,7 +144,7 @@ class ChannelFindings:
         self._leave_out(history)
 
     def _periods(self) -> dict[int, float]:
-        """Samples a period of what each channel mainly does; none for a force that is held to a sine.
+        """Samples a period of the main component of each channel; none for a force that is held to a sine.
 
         The little that harmonics beyond the controlled ones make of its crest may look like a cut.
         """

@@ -117,7 +117,7 @@ def _force_row(window: Window, linear: LinearDescription) -> int:
     if len(forces) != 1:
         points = [str(window.channels[row].point) for row in forces]
         raise BenchError(
-            f"There is no force channel at drive point {linear.drive_point}; "
+            f"A force channel is missing at drive point {linear.drive_point}; "
             f"force channels measure at {'point ' + ', '.join(points) if points else 'no point'}."
         )
     if window.channels[forces[0]].point != 0:

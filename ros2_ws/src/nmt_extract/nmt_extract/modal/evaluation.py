@@ -356,7 +356,7 @@ def remarks_on_bursts(evaluation: WindowEvaluation, fields: dict[str, float]) ->
             Remark(
                 f"{window.channels[row].name} departs from its periodic course between "
                 f"{motion.second(first + begin):.6g} and {motion.second(first + stop):.6g} s (drop-out, hit or "
-                "step); choose a window beside it.",
+                "step); choose a window next to it.",
                 evaluation.change(evaluation.values(motion.amplitudes), fields, 1 + part),
                 of_channel=True,
             )

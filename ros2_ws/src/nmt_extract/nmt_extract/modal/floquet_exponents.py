@@ -11,9 +11,9 @@ stiff modes follow at once. The multipliers are the eigenvalues of A, the expone
 measured one, so that it does not matter what the phase loop does meanwhile: the exponents are those without it.
 
 A is fitted by least squares of the output error; everything else is linear in it and eliminated (variable projection,
-Golub and Pereyra 1973). The standard uncertainty has the scatter about the fit, half of what changes without the order
+Golub and Pereyra 1973). The standard uncertainty has the scatter about the fit, half of the change without the order
 j = 2, and a tenth of one over the window: other modes answer to the beginning of the perturbation, of which two numbers
-know nothing. Beside a mode with the exponents −3.8 ± 2.7i 1/s an exponent of −0.30 1/s was 0.044, 0.023 and 0.004 1/s
+know nothing. Next to a mode with the exponents −3.8 ± 2.7i 1/s an exponent of −0.30 1/s was 0.044, 0.023 and 0.004 1/s
 off in windows of 2, 4 and 8 s.
 """
 
@@ -32,7 +32,7 @@ from nmt_signals.harmonics import segment_moments, solve_moments, whole_period_b
 _ORDERS = (-1, 0, 1, 2)
 _FEWER = (-1, 0, 1)
 _HARMONICS = 5
-_RESOLUTION = 0.1  # of one over the window, by which an exponent is off beside another mode
+_RESOLUTION = 0.1  # of one over the window, by which an exponent is off next to another mode
 _LEAST_SAMPLES = 2 * _HARMONICS + 4
 """Samples of a period without which its fundamental is not told from its neighbours."""
 

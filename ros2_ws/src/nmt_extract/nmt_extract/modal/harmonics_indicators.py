@@ -1,6 +1,6 @@
 """What control of the force's harmonics has done, told from modal points with and without it.
 
-How far frequency and damping moved when control came on is told at one modal amplitude, since at one voltage the
+How far frequency and damping moved when control came on is reported at one modal amplitude, since at one voltage the
 amplitude moves as well: the backbone with control is read at the amplitude of the window without, linear between its
 points in logarithms. That is the error of the method which control has taken away, as far as the levels are dense
 enough to tell; what one exciter at one point leaves is not in it.

@@ -1,6 +1,6 @@
 """Damping ratio from the hysteresis loop of a joint between lumped masses (method, eq. 8).
 
-For a chain m₁ –leaf spring– m₂ –joint– m₃ driven at m₁. It is no part of the modal method: it needs the
+For a chain m₁ –leaf spring– m₂ –joint– m₃ driven at m₁. It does not belong to the modal method: it needs the
 masses and works for lumped systems only, so it serves as a check on them.
 """
 
@@ -121,7 +121,7 @@ def hysteresis_loop(
     joint_force = -layout.free_mass_kg * free[1:]
     spring_force = layout.excited_mass_kg * first[1:] - force[1:]
     if not np.abs(relative[0]) > 0.0 or not np.abs(stretch[0]) > 0.0:
-        raise BenchError("The masses do not move against each other, so there is no hysteresis loop to evaluate.")
+        raise BenchError("The masses do not move against each other, so they have no hysteresis loop.")
     # Area of the loop: ∮ f dx = π Σ n Im(f_n conj(x_n)).
     work = float(np.pi * (orders * (np.conj(relative) * joint_force).imag).sum())
     rotation = _rotation(orders.size)

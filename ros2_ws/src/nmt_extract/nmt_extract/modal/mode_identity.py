@@ -1,4 +1,4 @@
-"""Which mode a level is: that of the test, another one under its name, or the mode of the test with another beside it.
+"""Which mode a level is: that of the test, another one under its name, or the mode of the test with another next to it.
 
 One exciter at one frequency drives every mode that is near it, and the loop locks on whichever is in phase at the drive
 point. The shape tells them apart: by MAC with each linear mode, and by the participation Φ⁺φ̃ of each.
@@ -56,11 +56,11 @@ def mode_sentence(shape: ComplexArray, linear: LinearDescription, omega: float) 
             f"{macs[other]:.2f} with mode {other + 1}, {macs[target]:.2f} with mode {target + 1}."
         )
     shares = np.abs(np.linalg.pinv(linear.shape_matrix) @ shape)
-    beside = [mode for mode in near_modes(linear, omega) if shares[mode] > _PART * shares[target]]
+    near = [mode for mode in near_modes(linear, omega) if shares[mode] > _PART * shares[target]]
     return " ".join(
         f"{mode_words(linear, mode)[0].upper()}{mode_words(linear, mode)[1:]} takes part by "
         f"{100.0 * shares[mode] / shares[target]:.0f} % of mode {target + 1}."
-        for mode in beside
+        for mode in near
     )
 
 

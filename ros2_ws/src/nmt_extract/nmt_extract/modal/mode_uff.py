@@ -82,10 +82,10 @@ def write_mode_uff(
         positions: x of points, m; a point without one gets its number.
 
     Raises:
-        BenchError: there is no mode, or the file cannot be written.
+        BenchError: no mode exists, or the file cannot be written.
     """
     if not modes:
-        raise BenchError("There is no mode to export.")
+        raise BenchError("The test has no mode to export.")
     import pyuff
 
     nodes = sorted({int(number) for mode in modes for number in mode["node_nums"]})

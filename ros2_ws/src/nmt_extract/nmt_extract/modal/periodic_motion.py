@@ -30,7 +30,7 @@ class PeriodicMotion:
 
     Attributes:
         window: without the drift that was found.
-        fitted: whether the frequency is fitted, since nobody knows the excitation's phase.
+        fitted: whether the frequency is fitted, since the excitation's phase is unknown.
         cycles, advance, periods: of the base frequency: phase at each sample, over the window, whole ones.
         harmonics: H.
         amplitudes: shape ``(1 + K, channels, H + 1)``.
@@ -122,7 +122,7 @@ class PeriodicMotion:
                 what = "force" if row == self.rows.force else "response at the drive point"
                 raise BenchError(
                     f"The {what} ({window.channels[row].name}) was off from {self.second(off[0]):.6g} to "
-                    f"{self.second(off[1]):.6g} s, within the window; choose a window beside it, or look at the cable."
+                    f"{self.second(off[1]):.6g} s, within the window; choose a window next to it, or look at the cable."
                 )
 
     def _take_out_drift(self) -> None:

@@ -185,5 +185,5 @@ def modal_quantities(
     # Phase and amplitude of nothing are meaningless; rounding of zero signals stays far below.
     drive = np.abs(values.velocity[:, 0, 0])
     if not (np.all(values.modal_amplitude > 0.0) and np.all(values.force_n > 0.0) and np.all(drive > 0.0)):
-        raise BenchError("There is no force or no response at the excitation frequency; check sensors and drive.")
+        raise BenchError("No force or no response was measured at the excitation frequency; check sensors and drive.")
     return values

@@ -109,5 +109,5 @@ def secondary_quantities(
     )
     drives = np.abs(values.velocity[:, 0, k - 1])
     if not (np.all(values.modal_amplitude > 0.0) and np.all(values.force_n > 0.0) and np.all(drives > 0.0)):
-        raise BenchError("There is no force, or no response in the resonant order; check sensors and drive.")
+        raise BenchError("No force, or no response in the resonant order, was measured; check sensors and drive.")
     return values

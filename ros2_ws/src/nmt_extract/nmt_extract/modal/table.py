@@ -70,7 +70,7 @@ def read_csv(path: Path | str) -> dict[str, list[Any]]:
         :data:`COLUMNS` that the file lacks follow, all NaN.
 
     Raises:
-        BenchError: not there, no table of modal points, or a value of a known column that is no number.
+        BenchError: not there, no table of modal points, or a value of a known column that is not a number.
     """
     rows = read_rows(Path(path), _WHAT)
     names = tuple(rows[0]) if rows else ()
@@ -205,7 +205,7 @@ def _point_from_mapping(values: Mapping[str, Any]) -> ModalPoint:
     data: dict[str, Any] = {}
     for item in fields(ModalPoint):
         if item.name not in values:
-            continue  # those without a default are told by the record itself
+            continue  # those without a default are shown by the record itself
         value = values[item.name]
         if item.name in COMPLEX:
             data[item.name] = _complex_array(value, 2 if item.name == "shape_harmonics" else 1)

@@ -44,7 +44,7 @@ class Window:
         sample_rate: Hz.
         channels: one for each row of ``data``.
         data: shape ``(channels, samples)``.
-        cycles: excitation phase at each sample, cycles, not wrapped, shape ``(samples,)``; None if nobody
+        cycles: excitation phase at each sample, cycles, not wrapped, shape ``(samples,)``; None if not
             knows it.
         end_cycles: phase at the sample after the last; NaN if not known.
     """
@@ -82,7 +82,7 @@ class WindowAssembler:
 
     Args:
         topics: sample topics that a window needs.
-        decode: makes a :class:`SampleBlock` of what :meth:`add_record` was given; called only for blocks of a
+        decode: makes a :class:`SampleBlock` from the arguments of :meth:`add_record`; called only for blocks of a
             window.
         require_loop_state: a window needs loop states up to its end (False for data without a phase-locked
             loop).

@@ -86,7 +86,7 @@ class SecondarySynthesis:
             )
 
     def forced_order(self, force: float, excitation: FloatArray, amplitude: FloatArray) -> FloatArray:
-        """p, m√kg, of the order that the force (N) drives, at Ω (rad/s) beside a resonant order of amplitude a."""
+        """p, m√kg, of the order that the force (N) drives, at Ω (rad/s) next to a resonant order of amplitude a."""
         p = np.zeros_like(excitation)
         for _ in range(_STEPS):
             stiffness = self.linear**2 + self.hardening * (p**2 + 2.0 * amplitude**2)

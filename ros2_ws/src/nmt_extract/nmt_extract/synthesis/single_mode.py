@@ -11,7 +11,7 @@ so the curve is found by going along the backbone: up to two frequencies for eac
 vanishes. All solutions at one frequency are the crossings of that curve.
 
 ω̃(q), δ̃(q) and φ̃₁(q) are interpolated along ln q by piecewise cubic polynomials that keep monotone stretches monotone
-(PCHIP; real and imaginary parts of the shape separately). There is no extrapolation: beyond the measured amplitudes the
+(PCHIP; real and imaginary parts of the shape separately). Nothing is extrapolated: beyond the measured amplitudes the
 response is not known, and the result says between which frequencies.
 
 A single exciter excites the other modes too, so the shape measured at phase resonance holds their share already. It is
@@ -433,7 +433,7 @@ class Synthesis:
         if self._radicand(self.backbone.modal_amplitude[-1:])[1][0] > 0.0:
             sentences.append(
                 f"At {self.force:g} N the peak lies above the highest measured level (q = "
-                f"{self.backbone.modal_amplitude[-1]:.3g} m√kg); around it there is no synthesis."
+                f"{self.backbone.modal_amplitude[-1]:.3g} m√kg); around it nothing is synthesised."
             )
         return sentences
 

@@ -1,4 +1,4 @@
-"""Frequency responses that a measured backbone predicts, beside measured sweeps."""
+"""Frequency responses that a measured backbone predicts, next to measured sweeps."""
 
 from __future__ import annotations
 
@@ -217,18 +217,18 @@ def _curves_of(path: Path) -> tuple[ResponseCurve, ...]:
 
 
 def _backbone(path: Path) -> tuple[list[ModalPoint], dict[str, Any]]:
-    """Points and inputs of ``modal.json``, once the run beside it has been asked what drove it.
+    """Points and inputs of ``modal.json``, once the run next to it has been asked what drove it.
 
     Raises:
         BenchError: a damaged file, or a test of which nothing can be synthesised.
     """
     file = _file(path, "modal.json")
-    beside = file.with_name("run.json")
-    if beside.is_file():
-        run = read_json_file(beside, "run record")
+    run_file = file.with_name("run.json")
+    if run_file.is_file():
+        run = read_json_file(run_file, "run record")
         refusal = covers(DrivenTest.of_run(run if isinstance(run, dict) else None, None))
         if refusal:
-            raise BenchError(f"{file} is no backbone: {refusal}")
+            raise BenchError(f"{file} is not a backbone: {refusal}")
     return read_json(file)
 
 
@@ -265,7 +265,7 @@ def _points(points: Sequence[Any]) -> tuple[int, ...]:
     for point in points:
         if point.points:
             return tuple(point.points)
-    raise BenchError("This run has no locked level, so there is no backbone to synthesise from.")
+    raise BenchError("This run has no locked level, so a backbone is missing.")
 
 
 def _others(path: Path | None, inputs: dict[str, Any], points: Sequence[int]) -> tuple[LinearDescription, OtherModes]:

@@ -1,6 +1,6 @@
 """The contract of a converter, tried with the device itself and an output of nothing but zeros.
 
-For a driver that nobody has tried before: `./nmt check` begins with it where ``device.kind`` is ``custom`` or
+For an untried driver: `./nmt check` begins with it where ``device.kind`` is ``custom`` or
 ``loopback``, and a laboratory's tests may call :func:`check_driver`. What it holds a driver to is what the process that
 owns the output relies on (`nmt_plant.output_process.output_owner`); whether channels carry what they should is the
 matter of `hardware_check`.

@@ -30,7 +30,7 @@ _MOST_NOISE, _MOST_MAINS, _MOST_OFFSET = 1e-4, 5e-4, 0.05  # of the range: rms, 
 _RAIL = 0.8  # of the range, from which an offset is that of a sensor without supply
 _CONNECTED = 0.3  # coherence below which a channel does not follow the drive
 _CLEAR = 0.9  # coherence of the lines that are compared
-_GAIN_TOLERANCE = 0.15  # relative, beside four times the sensitivity's own uncertainty
+_GAIN_TOLERANCE = 0.15  # relative, next to four times the sensitivity's own uncertainty
 _FOLLOWS = 0.3  # correlation of drive and monitor, from which a delay is believed
 _SAME_CHANNEL = 0.08  # mean logarithmic difference of responses that are the same
 _SAME_MOVED = 0.3  # the same where frequencies do not agree: modes beyond the band are not moved
@@ -66,7 +66,7 @@ _REMEDIES = {
 
 
 def expected_response(device: HardwareRig, put_out: FloatArray) -> FloatArray:
-    """Volts at the ports, (inputs, samples), that the rig's model makes of what was put out."""
+    """Volts at the ports, (inputs, samples), of the rig's model for the output."""
     model = Specimen(device.rig, device.section, bits=32, noise=0.0)
     ports = np.zeros((model.outputs, put_out.size))
     ports[0] = put_out / device.section.output.amplifier_gain

@@ -151,7 +151,7 @@ def scan_modes(
     plain = np.ones(model.frequencies.size)
 
     def costs_of(trials: FloatArray) -> FloatArray:
-        """Of some ratios, (n, m): median over the channels of what is left beside a gain."""
+        """Of some ratios, (n, m): median over the channels of the residual of a gain."""
         moved = np.abs(np.array([model(ratios, plain) for ratios in trials]) / at_rest)
         log = np.log(np.maximum(measured, 1e-300) / np.maximum(expected * moved, 1e-300))
         costs = []

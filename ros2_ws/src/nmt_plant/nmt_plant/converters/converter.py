@@ -142,7 +142,7 @@ class LoopbackConverter(SteadyClockConverter):
         sample_rate: Hz.
         outputs: channels.
         inputs: channels, all wired to the one output; 0 = as many as outputs.
-        gain: of what is measured over what is put out.
+        gain: measured over put out.
         delay: samples from a sample put out to the same sample measured.
         lost_at: index of a sample at which a loss of input is reported, in the count since the start; negative = none.
         **clock: of `SteadyClockConverter`.

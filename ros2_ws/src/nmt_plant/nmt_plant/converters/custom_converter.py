@@ -43,10 +43,10 @@ def load_driver(converter: str, folder: str) -> Callable[..., Any]:
 
     Args:
         converter: ``module:Class``.
-        folder: where the module is looked for first; empty = Python's own places only.
+        folder: where the module is searched for first; empty = Python's own places only.
 
     Raises:
-        BenchError: there is no such module or class, or it cannot be imported.
+        BenchError: no such module or class exists, or it cannot be imported.
     """
     module, _, name = converter.partition(":")
     if folder and folder not in sys.path:
@@ -75,7 +75,7 @@ def find_rig_driver(section: CustomSection, rig: Rig) -> None:
     """Refuse a driver whose module is not there; nothing of it is executed.
 
     Raises:
-        BenchError: there is no such module.
+        BenchError: no such module exists.
     """
     module = section.converter.partition(":")[0].split(".")[0]
     beside = Path(section.folder)

@@ -147,7 +147,7 @@ class NiDaqmxConverter(Converter):
         clock_source: terminal of the sample clock of the output; empty = that of the input.
         buffer_blocks: blocks that the output buffer holds.
         stop: physical channel, range in V, threshold in V, and whether below it (else above) the external stop line
-            asks for zero; None = there is no such line.
+            asks for zero; None = none.
         clock: by which losses follow each other, and on which the end waits.
 
     Raises:

@@ -57,7 +57,7 @@ def check_drive(command: DriveCommand) -> None:
     for exciter, order, value, relative in command.terms:
         if exciter < 1 or order < 1 or (relative and (exciter, order) == (1, 1)):
             raise BenchError(
-                f"drive command: harmonic {order} of exciter {exciter} is no term; exciters and orders count "
+                f"drive command: harmonic {order} of exciter {exciter} is not a term; exciters and orders count "
                 "from 1, and the fundamental of exciter 1 is the amplitude itself."
             )
         if not relative and exciter != 1:

@@ -187,7 +187,7 @@ class GuardedDevice(Device):
     Args:
         sample_rate: Hz.
         block_samples: samples in a block.
-        groups: published channels, in order; their rows are those of what `_compute` returns.
+        groups: published channels, in order; their rows are those that `_compute` returns.
         settings: limits, watchdog and ramps.
         seed: of the random waveform.
         output: process that owns the output, see `owned_output`; None = the samples go to `_measure` directly. With it
@@ -255,7 +255,7 @@ class GuardedDevice(Device):
         self._made = deque([(still, 0.0)] * self._lead)
         self._fed = False
         self._lost = False
-        self._last = 0.0  # V, largest of what was put out last in the block read last
+        self._last = 0.0  # V, largest value of the output in the block read last
         self.measured: FloatArray = np.zeros((0, self._block_samples))
         self._share = 1.0  # of the drive wanted that its rise lets through
         self._pending: list[DriveCommand] = []

@@ -56,7 +56,7 @@ def device_of(rig: Rig, kind: str = "", address: str = "") -> AnyDevice:
         address: of a kind that takes one.
 
     Raises:
-        BenchError: the file has no section ``device`` and no kind is named, or there is no such kind, or none without
+        BenchError: the file has no section ``device`` and no kind is named, or the kind does not exist, or none without
             a section.
     """
     section = rig.device

@@ -71,7 +71,7 @@ def rig_sensors(rig: Rig) -> tuple[Sensor, ...]:
 def sensor_output(
     system: ElectromechanicalSystem, sensor: Sensor, volts_to_input: float, exciter: int = 0
 ) -> OutputRow:
-    """Output row of what a sensor sees; voltage and current are those of an exciter, counted from 0.
+    """Output row that a sensor measures; voltage and current are those of an exciter, counted from 0.
 
     Raises:
         ValueError: a quantity that no sensor measures, or a current without a shaker.
@@ -268,7 +268,7 @@ class SimulatedRig(GuardedDevice):
         return values
 
     def respond(self, voltage: FloatArray) -> FloatArray:
-        """What the sensors record while a voltage acts, beside the device's own clock; needs a configured rig.
+        """What the sensors record while a voltage acts, next to the device's own clock; needs a configured rig.
 
         Args:
             voltage: (n + 1,) V, the last one where the next call begins; of several exciters (exciters, n + 1).

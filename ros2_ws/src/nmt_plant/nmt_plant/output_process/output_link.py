@@ -272,7 +272,7 @@ class OutputLink:
 
     @property
     def is_tripped(self) -> bool:
-        """Whether the owner has taken the output to zero, or is about to, or nobody knows."""
+        """Whether the owner has taken the output to zero, or is about to, or its state is unknown."""
         return self.state in (OutputState.RAMPING, OutputState.HELD, OutputState.ENDED, OutputState.NOT_KNOWN)
 
     @property

@@ -123,7 +123,7 @@ class OwnerSettings:
 
     @property
     def ring_samples(self) -> int:
-        """Samples of history: enough for the whole way to zero of an output that nobody feeds any more."""
+        """Samples of history: enough for the whole way to zero of an output that is not fed any more."""
         blocks = math.ceil((2.0 * (self.deadline + self.ramp) + 1.0) * self.sample_rate / self.block_samples)
         return self.block_samples * (blocks + 4 * self.lead_blocks)
 
@@ -289,7 +289,7 @@ class OutputOwner:
         if not probe.done:
             return
         found = self._delay = probe.delay()
-        if found.is_seen and not found.is_clear:  # samples were lost that nobody told of
+        if found.is_seen and not found.is_clear:  # samples were lost without a report
             self._delay = None
             probe.restart()
             return

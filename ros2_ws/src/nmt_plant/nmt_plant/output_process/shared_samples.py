@@ -1,7 +1,7 @@
 """Memory that the process which makes samples and the one which owns the converter share.
 
 Three lines of samples by index: what is fed, what was put out, what was measured. The memory has no name: it lives as
-long as one of the two processes. Each line has one writer. Indices are told by messages, which also order memory: what
+long as one of the two processes. Each line has one writer. Indices come by messages, which also order memory: what
 is written before a message is sent is read after it is received.
 """
 
@@ -70,5 +70,5 @@ class SharedSamples:
         self.fed, self.put_out, self.measured = (SampleLine(part) for part in np.split(whole, ends[:-1]))
 
     def close(self) -> None:
-        """Close the descriptor; the memory goes when nobody uses its lines any more."""
+        """Close the descriptor; the memory is freed when its lines are unused."""
         os.close(self.descriptor)

@@ -1,1 +1,1 @@
-"""What keeps the drive within its limits: guard of the output, limits of what is measured, watchdog."""
+"""What keeps the drive within its limits: guard of the output, limits of measured quantities, watchdog."""

@@ -133,7 +133,7 @@ class LimitGuard:
 
     Attributes:
         limits: quantity -> largest permitted magnitude of every channel of it, SI.
-        channels: levels of single channels, beside those of their quantity.
+        channels: levels of single channels, next to those of their quantity.
         open_loops: channels that must respond to the drive.
         drive_maximum: V, amplitude of the drive that ends a test; None = none.
         rms_time: s, time constant of the running mean of squares.
@@ -251,10 +251,10 @@ class LimitGuard:
     def predict(self, drive: float) -> bool:
         """Latch a violation that the next block would bring; True if tripped now or before.
 
-        The peak of a channel is taken to grow in proportion to the drive, beside what it was before the drive came
+        The peak of a channel is taken to grow in proportion to the drive, next to what it was before the drive came
         on; beyond `PREDICTION_FACTOR` times its abort level it trips. After a drive that falls the structure rings on:
         its peaks belong to the drive that it had, which counts less and less over `_RING_TIME`. Without a drive in the
-        last block there is no gain and nothing is predicted.
+        last block nothing is predicted.
 
         Args:
             drive: V, largest amplitude of the drive in the next block.

@@ -81,7 +81,7 @@ class OutputGuard:
 
     @property
     def bound(self) -> float:
-        """V, magnitude beyond which nothing is put out; the largest finite number where there is no limit."""
+        """V, magnitude beyond which nothing is put out; the largest finite number without a limit."""
         return self._bound
 
     @property

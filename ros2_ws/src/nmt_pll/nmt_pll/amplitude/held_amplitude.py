@@ -7,7 +7,7 @@ the force drops out. Force F, voltage u and drive-point response a obey
 
 where P (N/V) is the force the exciter would give to a body at rest and Z its own dynamic stiffness, both of the
 exciter alone and nearly constant over a sweep, while F/u and a/u change by an order of magnitude within seconds. A
-controller that knows F/u only has to be slow beside the decay of the structure, because a step of the voltage moves
+controller that knows F/u only has to be slow next to the decay of the structure, because a step of the voltage moves
 the force P/(F/u) times as far at once as in the end. One that knows P and Z has no such bound: it takes away in every
 block what the change of the motion will do to the force, and the feedback has the dead time of the loop alone to
 respect. P and Z are estimated along the sweep from the same phasors that the loop measures.
@@ -121,10 +121,10 @@ class ForceHolder:
     """Drive voltage that keeps the force's fundamental at its target.
 
     Each block: Δu |P| cos ψ = κ (F* − |F|) + Re(e^{−i arg F} Z Δa), ψ the angle between P and F. With exact P and Z the
-    error of the next block is 1 − κ of this one's plus Z times the second difference of the motion. κ is half of what
-    damps the loop of integrator, adaptive filter and dead time critically, κ_c = (1 − √p)/(1 + √p), p = exp(−ω_LP Δt),
-    divided by 1 + 2 blocks of latency. Where P and F are at right angles (between the resonances of the structure
-    with and without exciter) a change of the voltage only turns the force; the step then fades out and a slow
+    error of the next block is 1 − κ of this one's plus Z times the second difference of the motion. κ is half of the
+    value that damps the loop of integrator, adaptive filter and dead time critically, κ_c = (1 − √p)/(1 + √p), p =
+    exp(−ω_LP Δt), divided by 1 + 2 blocks of latency. Where P and F are at right angles (between the resonances of the
+    structure with and without exciter) a change of the voltage only turns the force; the step then fades out and a slow
     multiplicative integral, which acts at all times, remains.
 
     Args:

@@ -86,8 +86,8 @@ class Dwell:
     """Sliding record of the loop over the dwell time.
 
     Neighbouring values are correlated because the adaptive filter smooths them; uncertainties count one
-    independent value per correlation time. Noise is told from a transient by second differences: a transient of
-    the loop is smooth from block to block, while noise behind a low-pass of cut-off ω_LP is a first-order process
+    independent value per correlation time. Noise is distinguished from a transient by second differences: a transient
+    of the loop is smooth from block to block, while noise behind a low-pass of cut-off ω_LP is a first-order process
     whose values one block Δt apart correlate with ρ = exp(−ω_LP Δt), and whose second difference has the variance
     σ² (6 − 8ρ + 2ρ²).
 
@@ -190,7 +190,7 @@ class LockCriteria:
     def lost(self, statistics: DwellStatistics) -> str:
         """Why a lock has to be given up, empty if it holds; wider than the lock criteria lest lock flicker.
 
-        As there, noise excuses two standard uncertainties of the mean: a short dwell in much noise is no lost lock.
+        As there, noise excuses two standard uncertainties of the mean: a short dwell in much noise is not a lost lock.
         """
         limit = self.unlock_tolerance + 2.0 * statistics.mean_std
         if abs(statistics.mean) > limit:

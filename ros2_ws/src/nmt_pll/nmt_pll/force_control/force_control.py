@@ -1,4 +1,4 @@
-"""Control of all forces beside the phase loop, from blocks to terms of the drive: filter, targets and law."""
+"""Control of all forces next to the phase loop, from blocks to terms of the drive: filter, targets and law."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class ForceControl:
     def measure(self, force: SampleBlock, response: SampleBlock, drive_point_row: int) -> ComplexArray | None:
         """Harmonics 1 … H after the block of the forces, then of the responses that the targets follow, (rows, H).
 
-        None where there is no law, or the drive is not periodic.
+        None without a law, or with a drive that is not periodic.
 
         Args:
             force, response: blocks of the same samples.
@@ -212,7 +212,7 @@ class ForceControl:
             law.update(force, points, frequency_hz, amplitude, target, ramp_from)
 
     def drive_terms(self, amplitude: float) -> tuple[DriveTerm, ...]:
-        """Terms of the drive for the next block, within the limits beside an amplitude, V, of this size."""
+        """Terms of the drive for the next block, within the limits next to an amplitude, V, of this size."""
         if self.law is None:
             return ()
         self.law.fit(amplitude, self._highest_hz)

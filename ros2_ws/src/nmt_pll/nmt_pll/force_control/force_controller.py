@@ -205,7 +205,7 @@ class ForceController:
         return self._masks[1:]
 
     def _unit(self, amplitude: float) -> float:
-        """V that a controlled term of one has beside a drive of this amplitude."""
+        """V that a controlled term of one has next to a drive of this amplitude."""
         return amplitude if self._relative else 1.0
 
     def _in_drive(self) -> ComplexArray:
@@ -246,7 +246,7 @@ class ForceController:
     # -- one block -----------------------------------------------------------------------------------------------
 
     def idle(self, amplitude: float) -> None:
-        """A block in which nothing is controlled: terms stay beside a drive of this amplitude, V."""
+        """A block in which nothing is controlled: terms stay next to a drive of this amplitude, V."""
         self._held.advance(self._in_drive()[:, 1:] * self._unit(amplitude))
         self._past.clear()
 
@@ -272,7 +272,7 @@ class ForceController:
         return known, not np.isnan(known).any()
 
     def fit(self, amplitude: float, frequency_hz: float) -> None:
-        """Keep the next block's terms within the limits beside a drive of this amplitude (V), also while idle.
+        """Keep the next block's terms within the limits next to a drive of this amplitude (V), also while idle.
 
         Fundamentals go first: harmonics have the room that is left.
         """
@@ -348,7 +348,7 @@ class ForceController:
         if not everywhere and not self.off:
             self._probe_next(known, force, amplitude, unit)
             return
-        if self._rest > 0:  # what the last probe has left in the filter is no deviation
+        if self._rest > 0:  # what the last probe has left in the filter is not a deviation
             self._rest -= 1
             self._past.clear()
             return

@@ -87,7 +87,7 @@ def fundamental_gain(
     """Ĝ_j of the fundamentals of exciters 2, 3, …, N/V, shape (exciters,); 1 for the first, which others control.
 
     At resonance the force follows the voltage as (s + δ_s)/(s + δ_p), slowly with little and at once with much. Ĝ has
-    the phase of the force per volt beside the resonance and the size
+    the phase of the force per volt next to the resonance and the size
 
         |Ĝ_j| = max over |ν| ≥ κ of κ/|ν| Σ_i |G_ji(ω + ν) − ρ_j G_1i(ω + ν)|,   ρ = F*/F_1,
 
@@ -101,7 +101,7 @@ def fundamental_gain(
         ratios: ρ, shape (exciters,).
 
     Raises:
-        BenchError: G is not known beside the resonance.
+        BenchError: G is not known next to the resonance.
     """
     if ratios.size == 1:
         return np.ones(1, complex)

@@ -6,11 +6,11 @@ wiring and exciter do to its voltage is a factor of its column. Over the time co
     ΔF_j = h_jᵀ c + Δd_j,   h_ji = G₀_ji ΔV_i,
 
 which is a linear regression on the moves h that were foreseen, with a force at every exciter for every factor. With
-the covariance P of c and the variance R_j of what noise and a changing motion contribute by Δd_j, force by force,
+the covariance P of c and the variance R_j of the contribution Δd_j of noise and a changing motion, force by force,
 
     c ← c + k (ΔF_j − h_jᵀ c),   k = P h̄_j / (h_jᵀ P h̄_j + R_j),   P ← (1 − k h_jᵀ) P.
 
-P grows with time up to a bound, which is its forgetting. Other errors of G₀, such as exchanged terms beside the
+P grows with time up to a bound, which is its forgetting. Other errors of G₀, such as exchanged terms next to the
 diagonal, are left to the margins of the law. For one exciter it is the scalar filter.
 """
 

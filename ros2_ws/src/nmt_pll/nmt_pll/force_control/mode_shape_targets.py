@@ -12,8 +12,8 @@ forces then follow the modal shape. Harmonics go to w_n, or to zero.
 
 The targets follow what is measured more slowly than forces follow their targets. A force ξ M ẋ that follows the motion
 at once is negative damping, which drives up any mode that is damped less than the target. As long as the ratios of the
-targets move slowly beside the distance of the other modes, the excitation frequency keeps those modes where they are.
-They begin with those of the linear mode.
+targets move slowly compared with the distance of the other modes, the excitation frequency keeps those modes where
+they are. They begin with those of the linear mode.
 """
 
 from __future__ import annotations

@@ -256,7 +256,7 @@ class _GivenFrequencyLoop(LevelLoop):
         return self.refusal(level, phasors, end)
 
     def _listen_on(self, level: LevelCommand, phasors: tuple[complex, complex], end: int) -> str:
-        """Wait until the structure rests: what is left then is noise."""
+        """Wait until the structure rests: the residual then is noise."""
         self._noise = [*self._noise[-4:], self.held]
         self.force_holder.listen(*phasors)
         if end < self._until:

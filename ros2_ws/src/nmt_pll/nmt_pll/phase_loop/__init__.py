@@ -1,1 +1,1 @@
-"""Phase resonance: the frequency follows the phase; the paper's loop beside it."""
+"""Phase resonance: the frequency follows the phase; the paper's loop next to it."""

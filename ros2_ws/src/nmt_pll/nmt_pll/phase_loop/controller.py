@@ -44,7 +44,7 @@ class GainSchedule:
 
     @property
     def amplitude_bandwidth(self) -> float:
-        """Bandwidth of the amplitude controller, rad/s: slow beside the phase loop."""
+        """Bandwidth of the amplitude controller, rad/s: slow next to the phase loop."""
         return PHASE.amplitude_bandwidth_share * self.bandwidth_limit
 
     def force_bandwidth(self, structure_decay: float) -> float:

@@ -10,7 +10,7 @@ the force leads the displacement by 90°; below it by 90° − ε, so the slow p
 lock, positive where the frequency has to rise. The ripple at twice the excitation frequency is left to the
 low-pass.
 
-Amplitude: an unscaled product has the gain ½ |F| |x|, about 1e-5 of what the reported lock time needs and
+Amplitude: an unscaled product has the gain ½ |F| |x|, about 1e-5 of the gain that the reported lock time needs and
 different at each level. So both signals are divided by their running amplitude √(2 ⟨s²⟩), the mean square
 taken through a low-pass of the same pole a. Two consequences are properties of this loop, not of the code:
 noise counts as amplitude and lowers the gain, to |F||x| / √((|F|² + 2σ_F²)(|x|² + 2σ_x²)); and harmonics

@@ -40,9 +40,7 @@ class PaperSettings:
     centre_frequency_hz: float = setting(
         0.0, "Centre of its oscillator; 0 = linear frequency of the target mode.", unit="Hz", low=0.0
     )
-    closing_time: float = setting(
-        1.0, "Hold of the first level's frequency after its ramp, before the loop closes.", unit="s", low=0.0
-    )
+    closing_time: float = setting(1.0, "Hold of the first frequency before the loop closes.", unit="s", low=0.0)
     waiting_time: float = setting(11.0, "From the start of a level to its window.", unit="s", low=0.0)
     dwell_periods: float = setting(
         20.0, "End of the waiting time over which the phase error is averaged.", unit="periods", low=0.0

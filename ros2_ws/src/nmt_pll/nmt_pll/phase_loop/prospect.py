@@ -1,4 +1,4 @@
-"""Whether a point of a response curve can still be held: the trend of what keeps the loop from locking.
+"""Whether a point of a response curve can still be held: the trend of the errors that keep the loop from locking.
 
 The shares that phase, scatter, drifts and amplitude are of their limits come down to one at lock. What settles comes
 down exponentially with the decays of structure and loop; what swings or runs away does not. So the logarithm of the

@@ -69,7 +69,7 @@ class SelfExcitedPlant:
 
     @property
     def damping_rate(self) -> float:
-        """Rate u of damping feedback, 1/s, negative: what it takes away and the growth at rest beside it."""
+        """Rate u of damping feedback, 1/s, negative: what it takes away and the growth at rest next to it."""
         return (
             -min(
                 SELF_EXCITED.amplitude_rate + max(self.growth * self.dead_time, 0.0), SELF_EXCITED.largest_damping_rate

@@ -6,7 +6,7 @@ an amplitude of the response, reached by one of three methods:
 
 * ``amplitude``: held by velocity feedback and a proportional part, on stable and unstable parts alike;
 * ``feedback``: held by velocity feedback alone, where the damping ratio grows with the amplitude;
-* ``envelope``: brought beside the amplitude, released, and measured as the free motion passes it.
+* ``envelope``: brought next to the amplitude, released, and measured as the free motion passes it.
 
 ``auto`` holds the amplitude of a rig whose growth at rest the dead time allows. Others are released, and held by
 velocity feedback beyond the amplitude at which their free motion settles. A level whose amplitude cannot be held is

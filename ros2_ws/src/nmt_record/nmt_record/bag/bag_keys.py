@@ -1,4 +1,4 @@
-"""What a bag says of itself beside its messages: keys in rosbag2's custom data, and names of what was measured."""
+"""What a bag says of itself next to its messages: keys in rosbag2's custom data, and names of measurements."""
 
 from __future__ import annotations
 
@@ -12,5 +12,5 @@ SIMULATED_RIG = "simulated rig"
 
 
 def converter_name(kind: str, name: str = "") -> str:
-    """Device of a run at a converter: its kind, and the name of what is known to be behind it."""
+    """Device of a run at a converter: its kind, and the name of its specimen if known."""
     return f"{kind} ({name})" if name else kind

@@ -325,7 +325,7 @@ class Bag:
         return "; ".join(clauses) + "." if clauses else None
 
     def repair(self, destination: Path | str) -> Path:
-        """Write what can be read to a new, regularly closed bag, with a record of what was lost.
+        """Write what can be read to a new, regularly closed bag, with a record of the losses.
 
         Args:
             destination: folder to create.
@@ -407,7 +407,7 @@ class Bag:
         """Fields by message type, of the type of a topic and all that it contains, as ``rosbags`` has them.
 
         Raises:
-            BenchError: there is no definition of the type in the bag or on this machine, or it is malformed.
+            BenchError: there is not a definition of the type in the bag or on this machine, or it is malformed.
         """
         return self._typestore(self._types[bench_name(topic)]).fielddefs
 

@@ -56,7 +56,7 @@ class Storage:
             0 = one file.
 
     Raises:
-        BenchError: there is no such compression.
+        BenchError: no such compression exists.
     """
 
     chunk_messages: int = 500
@@ -86,7 +86,7 @@ class BagWriter:
         rig_yaml: the rig file as used.
         records: write start and stop record; off for copies, which have them already.
         storage: how messages lie in its files.
-        repair_json: what a repaired copy has lost, a JSON object; empty = it is no repaired copy.
+        repair_json: what a repaired copy has lost, a JSON object; empty = it is not a repaired copy.
         open_file: opens the MCAP file; must return an unbuffered file.
         clock: time of reception of messages that come without one, ns; None = the wall clock.
 

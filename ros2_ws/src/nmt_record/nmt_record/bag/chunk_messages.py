@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 _HEAD = struct.Struct("<BQHIQQ")
 _MESSAGE = 0x05
-_BESIDE_DATA = 22  # bytes of a message record beside its data and its own head of 9
+_BESIDE_DATA = 22  # bytes of a message record next to its data and its own head of 9
 _BUILDER, _STATISTICS = "_Writer__chunk_builder", "_Writer__statistics"
 
 

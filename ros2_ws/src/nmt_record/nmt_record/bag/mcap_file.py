@@ -169,7 +169,7 @@ class McapFile:
         wanted = set(self.channels) if wanted is None else wanted & set(self.channels)
         held = [item for item in self.stretches if item.fault or not wanted.isdisjoint(item.channels)]
         waiting: list[tuple[int, int, int, bytes]] = []
-        # Before the earliest time of what is still to be read, nothing more can come.
+        # Before the earliest time still to be read, nothing more can come.
         firsts = [math.inf if item.fault else item.first_time for item in held]
         bounds = [*itertools.accumulate([math.inf, *firsts[:0:-1]], min)][::-1] if held else []
         for part, bound in zip(self._read(held, wanted), bounds, strict=True):
@@ -464,7 +464,7 @@ def _unpack_chunk(content: bytes, packing: tuple[str, int, int] | None = None) -
 
     Args:
         content: of the chunk's record.
-        packing: what the index says of it, in place of what the chunk says; see :class:`Stretch`.
+        packing: what the index says of it, instead of the chunk's own values; see :class:`Stretch`.
     """
     _, _, size, checksum = _CHUNK.unpack_from(content)
     if packing is not None:

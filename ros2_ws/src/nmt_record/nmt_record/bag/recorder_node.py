@@ -43,7 +43,7 @@ _RAMP_GRACE = 30.0  # s that a recorder in lockstep which was told to end waits 
 
 
 class RecorderNode(BenchNode):
-    """Records every run into a bag of its own, until the node is told to end.
+    """Records every run into a bag of its own, until the node is asked to end.
 
     The first bag exists, with the run's start record in it, when the constructor returns. A bag closes when its run is
     over and the drive at zero; the next one is opened when the sequencer announces a run on ``run_plan``. What the node
@@ -60,7 +60,7 @@ class RecorderNode(BenchNode):
         BenchError: a parameter is wrong, a message type is not installed, or the bag cannot be created.
     """
 
-    # Nobody waits for this node block by block.
+    # No node waits for this one block by block.
     BURST_PERIOD = 0.02
     settings: RecorderSettings
 

@@ -14,16 +14,12 @@ from nmt_record.bag.bench_topics import BENCH_TOPICS
 class RecorderSettings(NodeSettings):
     """What is recorded, where, and when a bag closes."""
 
-    output: str = setting(
-        "", "Folder of the first bag, which must not exist; the bags of further runs get '-2', '-3', … added."
-    )
+    output: str = setting("", "Folder of the first bag, which must not exist; further ones get '-2', '-3', ….")
     topics: tuple[str, ...] = setting(
         tuple(topic.name for topic in BENCH_TOPICS),
         "Topics to record; those that are not of the bench as 'name:package/msg/Type'.",
     )
-    bundled: tuple[str, ...] = setting(
-        ("",), "Those of them that are taken from the bundles of plant and loop; empty = none."
-    )
+    bundled: tuple[str, ...] = setting(("",), "Topics taken from the bundles; empty = none.")
     run_json: str = setting("", "Self-description of the run, a JSON object.")
     run_file: str = setting("", "File with the same, instead of run_json.")
     rig_yaml: str = setting("", "The rig file as used, its text.")

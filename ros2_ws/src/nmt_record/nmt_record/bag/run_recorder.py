@@ -239,7 +239,7 @@ def free_path(path: Path) -> Path:
 
 
 def why_unwritable(path: Path, least_free_mb: int) -> str:
-    """Why no bag can be recorded beside ``path``: folder or space; empty if one can."""
+    """Why no bag can be recorded next to ``path``: folder or space; empty if one can."""
     folder = path.absolute().parent
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent

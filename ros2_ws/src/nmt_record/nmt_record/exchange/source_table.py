@@ -81,7 +81,7 @@ class SourceTable:
         lines: line of each row in the file; None = not a text file.
         breaks: rows before which the header was repeated.
         stamps: columns that were written as dates or times of day; they hold seconds.
-        constants: single numbers beside the columns (MATLAB).
+        constants: single numbers next to the columns (MATLAB).
         scalings: what the file says of the scale and the sign of each column.
         points: of each column by the file; 0 = not stated, −1 = to be asked.
         parts: columns that are no channels: dates and fractions of a stamp, numbers of the rows.

@@ -138,7 +138,7 @@ def unit_in_name(name: str, *, time: bool = False) -> tuple[str, str]:
 
 
 def coordinate_of_unit(unit: str) -> str:
-    """The coordinate that is no length whose unit it is; empty if none."""
+    """The coordinate that is not a length whose unit it is; empty if none."""
     plain = plain_unit(unit)
     return next((name for name, (_, _, units) in _COORDINATES.items() if plain in units), "")
 
@@ -202,7 +202,7 @@ def factor_to_si(quantity: Quantity, unit: str, where: str) -> float:
     Args:
         quantity: what is measured.
         unit: as the user wrote it.
-        where: of what, for the message.
+        where: place, for the message.
 
     Raises:
         BenchError: the unit is empty, raw counts, one of another quantity, or not known.
@@ -330,7 +330,7 @@ def inverse_unit(unit: str) -> str:
 
 
 def decibels(unit: str) -> str | None:
-    """Unit that dB refer to, empty where it is not told; None where a unit is no dB."""
+    """Unit that dB refer to, empty where it is not told; None where a unit is not a dB."""
     found = re.fullmatch(
         r"\[?\s*dB\s*(?:\(?\s*(?:re\.?|ref\.?|rel\.?|/)\s*(?:1(?![\d/]))?\s*(.*?)\)?)?\s*\]?", unit.strip(), re.I
     )
@@ -347,7 +347,7 @@ def unit_size(unit: str) -> tuple[Quantity, float, str] | None:
 
 
 def _quotient(unit: str) -> tuple[Quantity, float, str] | None:
-    """Response quantity, factor to SI and reference of a unit; None if it is no quotient of these."""
+    """Response quantity, factor to SI and reference of a unit; None if it is not a quotient of these."""
     plain = plain_unit(unit)
     if plain in ("1", "m/m"):
         return Quantity.ACCELERATION, 1.0, "base"

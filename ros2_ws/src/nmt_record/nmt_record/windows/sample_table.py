@@ -118,7 +118,8 @@ class SampleTable:
 
     Args:
         topics: sample topics that a window needs.
-        decode: makes a block (or its head) of what :meth:`add_record` was given; called only for blocks of a window.
+        decode: makes a block (or its head) from the arguments of :meth:`add_record`; called only for blocks of a
+            window.
         every_channel: a window is lost with one of its channels.
         require_loop_state: a window needs loop states up to its end (False for data without a loop).
         minimum_periods: windows of fewer whole periods are rejected.

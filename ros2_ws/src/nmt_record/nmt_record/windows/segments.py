@@ -76,7 +76,7 @@ class Signals:
         quantities: name -> quantity.
         oscillator: phase of the excitation at each sample, cycles, (samples,), unwrapped, starting in [0, 1); None
             if it is not known or nothing oscillates (random excitation).
-        gaps: (topic, first sample, samples) of what is missing.
+        gaps: (topic, first sample, samples) of missing stretches.
         flags: flags of all the blocks together; as in ``nmt_msgs/SampleBlock``.
         findings: what is wrong with the blocks, topic by topic.
         topics: name -> topic of the channel.

@@ -127,7 +127,7 @@ class TopicStretch:
         topic: its name.
         first_sample: first sample of the stretch.
         samples: number of samples.
-        blocks: those of one kind of channels and one rate, in time; without gaps where there is no finding.
+        blocks: those of one kind of channels and one rate, in time; without gaps if nothing was found.
         findings: what is wrong, in the order in which it was found.
     """
 

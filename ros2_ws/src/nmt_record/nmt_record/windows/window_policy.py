@@ -1,7 +1,7 @@
 """What may be wrong with a window of samples, and what each fault does to it: the one rule for everybody who cuts one.
 
 The extraction, live and offline, the readers of whole windows and the diagnosis ask here, so that a window that is
-rejected for one of them is no observation for another.
+rejected for one of them is not an observation for another.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ PHASE_JUMP_CYCLES = 1e-6
 """More than rounding, far less than any phase step worth the name."""
 
 AnyBlock = SampleBlock | BlockHead
-"""What faults are looked for in: the samples themselves do not matter for most of them."""
+"""What faults are searched for in: the samples themselves do not matter for most of them."""
 
 
 def covers(test: DrivenTest) -> str:

@@ -170,7 +170,7 @@ class LocalForces:
         Args:
             elements: local elements, directions of equal length.
             basis: harmonic orders kept.
-            idle_direction: (n,) coordinate to keep (without force) when there is no element at all.
+            idle_direction: (n,) coordinate to keep (without force) without any element.
 
         Raises:
             BenchError: an element that harmonic balance does not cover, or there are neither elements nor an idle

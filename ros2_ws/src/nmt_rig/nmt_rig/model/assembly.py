@@ -130,7 +130,7 @@ class ElectromechanicalSystem(PointMotion):
         return q, rows @ q + np.diag([exciter.force.feedthrough for exciter in self.exciters])
 
     def _force_row(self, force: OutputRow, frequency: float, sticking: bool) -> Array:
-        """(n,) complex amplitude of a force per one of q at ω (rad/s), beside its feedthrough."""
+        """(n,) complex amplitude of a force per one of q at ω (rad/s), next to its feedthrough."""
         s = 1j * frequency
         row = s * s * force.acceleration + s * force.velocity + force.displacement
         if sticking and force.exciter_elements:
@@ -162,7 +162,7 @@ def displacement_output(system: ElectromechanicalSystem, point: int) -> OutputRo
     """Lateral displacement of `point`, m; that of the table is part of it where sensors see the absolute motion.
 
     Raises:
-        KeyError: there is no such point.
+        KeyError: no such point exists.
         ValueError: the absolute displacement is asked for, but the table's position is not modelled.
     """
     zero = np.zeros(system.size)
@@ -176,7 +176,7 @@ def velocity_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
 
 
 def acceleration_output(system: ElectromechanicalSystem, point: int) -> OutputRow:
-    """Lateral acceleration of `point`, m/s² (KeyError where there is no such point)."""
+    """Lateral acceleration of `point`, m/s² (KeyError where such a point is missing)."""
     zero = np.zeros(system.size)
     row = OutputRow(system.selector(point), zero, zero, 0.0)
     weight = 0.0 if system.base is None else system.base.weights.get(point, 0.0)
@@ -212,7 +212,7 @@ def current_output(system: ElectromechanicalSystem, exciter: int = 0) -> OutputR
     """Coil current of an exciter, counted from 0, A.
 
     Raises:
-        ValueError: it is no shaker.
+        ValueError: it is not a shaker.
     """
     current = system.exciters[exciter].current
     if current is None:
@@ -278,7 +278,7 @@ def assemble(
                 "mass of their own"
             )
         system = on_table(structure, system, table)
-    # A moment (an element on the rotation) is no part of the lateral stinger force.
+    # A moment (an element on the rotation) does not belong to the lateral stinger force.
     drive = structure.selector(places[0])
     lateral = [bool(np.any(element.direction * drive)) for element in others]
     if any(lateral):

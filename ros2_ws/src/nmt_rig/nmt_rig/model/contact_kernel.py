@@ -3,7 +3,7 @@
 The scheme is that of integration_kernel.py: exact linear propagation, Hermite holds of the local forces, corners
 located on a grid of step / 2^K. Four things differ, so that a place at rest costs nothing:
 
-* The springs of sticking Jenkins elements are part of the linear motion. What is left as a port's force is
+* The springs of sticking Jenkins elements are part of the linear motion. The residual as a port's force is
   g - k w with the absorbed stiffness k: a constant while the element sticks, and implicit only while it slips. A
   contact's force is 0 while it is open.
 * Constant forces act together, as one vector per step width, made anew when a branch changes. The equations of the

@@ -22,7 +22,7 @@ _FITTED = 64
 
 
 def port_directions(system: ElectromechanicalSystem, inertial: np.ndarray) -> FloatArray | None:
-    """Orthonormal directions (m, inertial) that damping beside the modes' own may act along; None = too many."""
+    """Orthonormal directions (m, inertial) that damping next to the modes' own may act along; None = too many."""
     directions = [system.selector(system.drive_point), *np.eye(system.size)[system.structure_size :]]
     directions += [element.direction for element in system.elements]
     chosen = np.array(directions)[:, inertial]
@@ -59,6 +59,6 @@ def split_damping(modal: FloatArray, ports: FloatArray) -> tuple[FloatArray, Flo
 
 
 def is_small(rest: FloatArray, matrix: FloatArray) -> bool:
-    """Whether what is left of a matrix is rounding beside its diagonal, entry by entry."""
+    """Whether a difference of matrices is rounding compared with the diagonal, entry by entry."""
     size = np.abs(np.diag(matrix))
     return not np.any(np.abs(rest) > _RELATIVE * np.sqrt(np.outer(size, size)) + 1e-12 * size.max(initial=0.0))

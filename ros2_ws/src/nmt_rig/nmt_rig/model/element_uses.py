@@ -1,7 +1,7 @@
 """What a local element is to those who look for a force that a model lacks: an effect, and terms of a law.
 
-Both are data of the element's section, beside its keys and formulas. The diagnosis makes its library of effects and the
-law of held levels from them, nmt_blind its truths.
+Both are data of the element's section, next to its keys and formulas. The diagnosis makes its library of effects and
+the law of held levels from them, nmt_blind its truths.
 """
 
 from __future__ import annotations

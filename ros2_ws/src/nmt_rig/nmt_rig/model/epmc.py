@@ -3,7 +3,7 @@
 Periodic solutions of M ẍ + C ẋ + K x + g(x, ẋ) − ξ M ẋ = 0 (paper eq. 2, method.md 1) as a function of the
 modal amplitude q, q² = ψ̃₁ᴴ M ψ̃₁; δ̃ = ξ / (2 ω̃).
 
-The fundamental of one modal coordinate, a = η_m, stays an unknown beside the local displacements: on Z_1 its
+The fundamental of one modal coordinate, a = η_m, stays an unknown next to the local displacements: on Z_1 its
 diagonal entry gets an artificial stiffness iκ whose force iκ a is handed back as input. Without it the
 condensation would divide by zero where the local forces vanish (linear limit, full slip).
 """

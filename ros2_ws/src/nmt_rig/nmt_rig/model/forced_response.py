@@ -314,7 +314,7 @@ class FrequencyResponse:
         """(k,) complex amplitudes of the displacement of a point in one harmonic order, m.
 
         Raises:
-            KeyError: there is no such point.
+            KeyError: no such point exists.
         """
         position = int(np.flatnonzero(self.responses[0].orders == order)[0])
         unknowns = np.array([response.unknowns[position] for response in self.responses])

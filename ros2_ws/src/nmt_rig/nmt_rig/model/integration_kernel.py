@@ -205,7 +205,7 @@ def move_pairs(
     """`move_free` in modal form with one exciter and one port; both branches give the same bits.
 
     A step is compiled by itself before it is copied into the loop, and nothing states there that arrays do not overlap.
-    A vectorised loop therefore compares the addresses of what it writes with all that it reads, and runs only where
+    A vectorised loop therefore compares the addresses that it writes with those that it reads, and runs only where
     there are enough values for that. Few arrays per loop keep this number small.
     """
     size = state.size

@@ -264,7 +264,7 @@ def craig_bampton(
         parts: of the structure that may change: static deflections under their forces in the lowest modes are kept,
             too, so that frequencies are right to second order in the change.
         held: number of the last kept degrees of freedom that do not move in these lowest modes.
-        most: coordinates beside the held ones, up to which what the modes left out answer is added; None = all of it.
+        most: coordinates next to the held ones, up to which what the modes left out answer is added; None = all of it.
 
     Returns:
         Dense matrices of size len(kept) + modes, and further coordinates for what the modes left out answer and for the
@@ -411,7 +411,7 @@ def lowest_frequencies(matrices: Matrices, count: int) -> Array:
 
     Args:
         matrices: checked matrices of n degrees of freedom.
-        count: number of frequencies beside the zeros; fewer come back where fewer rows have mass.
+        count: number of frequencies next to the zeros; fewer come back where fewer rows have mass.
 
     Raises:
         ValueError: rows without mass and stiffness.

@@ -44,9 +44,9 @@ class SlidingForces(NamedTuple):
     """Integrals of the forces of all sliders with cos(kθ) and sin(kθ), by what the forces go with.
 
     Attributes:
-        motion: stiffness of what goes with w.
-        rest: of what goes with nothing.
-        anchored: (corners,) of what goes with w at the corner where the present sticking began.
+        motion: stiffness of the part in proportion to w.
+        rest: of the constant part.
+        anchored: (corners,) of the part in proportion to w at the corner where the present sticking began.
     """
 
     motion: Waves
@@ -391,7 +391,7 @@ def add_sliders(
 
     Args:
         amplitude: bound on |w|, m; below its slip displacement an element is left out.
-        waves: integrals of the stiffness of what goes with w, added to.
+        waves: integrals of the stiffness of the part in proportion to w, added to.
         force: (size,) integrals of all other forces with the basis functions, added to.
         derivative: (size, size) of these by the coefficients, added to; (0, 0) where it is not wanted.
     """

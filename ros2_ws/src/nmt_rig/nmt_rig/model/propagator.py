@@ -177,8 +177,8 @@ class Propagator:
         modal: z is in pairs (x_i, y_i), stored as all x then all y.
         pair: (K+1, 4, pairs) blocks [[xx, xy], [yx, yy]] of each pair; empty unless modal.
         dense: (K+1, Z, Z) transition matrices; empty if modal.
-        start_weights: (K+1, 2 exciters + 2 ports, Z) weights of what is known before the step: each input at its start
-            and at its end, port forces (N) at its start, their slopes (N/s) at its start.
+        start_weights: (K+1, 2 exciters + 2 ports, Z) weights of the values known before the step: each input at its
+            start and at its end, port forces (N) at its start, their slopes (N/s) at its start.
         end_weights: (K+1, 2 ports, Z) weights of port forces, then their slopes, at the step's end.
         port_rows: (3 ports, Z) displacement, velocity, acceleration of the ports of local elements, grouped by kind;
             behind them, where there are couplings, what these observe and its rate (4 rows a coupling).
@@ -331,7 +331,7 @@ class _ModalForm:
         return result
 
     def rows(self, modal: NDArray[np.complexfloating[Any, Any]]) -> Array:
-        """(2 pairs, …) of what has a row for each mode: all x, then all y."""
+        """(2 pairs, …) of an array with a row for each mode: all x, then all y."""
         u, f, g = self.upper.size, self.first.size, self.second.size
         result = np.zeros((2 * self.pairs, modal.shape[1]))
         result[:u], result[self.pairs : self.pairs + u] = modal[self.upper].real, modal[self.upper].imag
@@ -352,7 +352,7 @@ class _ModalForm:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Step matrices before the ports are told apart from the inputs; as of :class:`Propagator`.
+    """Step matrices before the ports are distinguished from the inputs; as of :class:`Propagator`.
 
     Attributes:
         weights: six arrays (K+1, Z, exciters + ports) in the order of :func:`_holds`.

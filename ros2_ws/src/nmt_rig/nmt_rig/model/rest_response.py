@@ -24,7 +24,7 @@ class RestResponse:
         impedance: of the linear part; its ports give the matrices, those of the local elements at rest among them.
         rows: (4, N) drive-point displacement, and displacement, velocity and acceleration rows of the force.
         given: (N,) input.
-        feedthrough: force per input, beside the motion.
+        feedthrough: force per input, next to the motion.
     """
 
     impedance: ModalImpedance

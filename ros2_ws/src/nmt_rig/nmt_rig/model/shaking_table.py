@@ -58,7 +58,7 @@ class BaseMotion:
     Attributes:
         acceleration: a as an output, m/s².
         index: unknown x of the table's position, None without a suspension.
-        weights: point number -> share of the table's motion that a sensor there sees beside q.
+        weights: point number -> share of the table's motion that a sensor there sees next to q.
     """
 
     acceleration: OutputRow

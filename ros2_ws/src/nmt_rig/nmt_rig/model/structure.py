@@ -34,7 +34,7 @@ class PointMotion:
         """Vector s of shape (n,) with lateral displacement of `point` = s · q; a unit vector for an unknown.
 
         Raises:
-            KeyError: there is no such point.
+            KeyError: no such point exists.
         """
         if point in self.shapes:
             return self.shapes[point].copy()
@@ -48,7 +48,7 @@ class PointMotion:
         """Lateral displacement of `point` from unknowns (n,) or (n, k): a number or (k,).
 
         Raises:
-            KeyError: there is no such point.
+            KeyError: no such point exists.
         """
         return unknowns[self.points[point]] if point in self.points else self.selector(point) @ unknowns
 
@@ -209,7 +209,7 @@ class Structure(PointMotion):
     def with_frequency_factors(self, factors: Sequence[float]) -> Structure:
         """The structure with the frequencies of its lowest undamped modes times ``factors``, shapes and damping kept.
 
-        What mesh and reduction do to each mode beside the parameters of the model.
+        What mesh and reduction do to each mode next to the parameters of the model.
         """
         squares, weighted = self._undamped
         each = np.ones(squares.size)

@@ -91,7 +91,7 @@ class Weighed:
             payload stand behind them: mass (kg) and first moments (kg·m).
         spread: prior standard deviations of the same.
         change: P, by how much the parameters of the columns differ from the file.
-        wide: P, the same of what may move far alone.
+        wide: P, the same of the widely varied parameters.
         pulled: largest pull of a number within its tolerance.
         reached: the same of those that may move far.
     """

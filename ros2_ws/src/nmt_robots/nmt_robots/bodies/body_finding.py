@@ -84,7 +84,7 @@ class BodyFinding:
         probability: posterior, of the subject that is named.
         instead: words of others that cannot be told apart, with their probabilities.
         values: that differ.
-        effect: J, rms of what it changes over each joint's torque.
+        effect: J, rms of its change over each joint's torque.
         before, after: J, torque left on the last part by values of the rows before, as given and as changed; N·m.
         robot: the changed model; the same object where nothing is claimed.
         factor: J, of each joint's logged torque against the real one.
@@ -343,7 +343,7 @@ class _Asked:
             place = rows.drives.start + explanation.joint
             value, loose = float(item.numbers[place]), float(item.std[place])
             found.append(BodyValue(self._joints[explanation.joint], "torque constant", 1.0 / (1.0 + value),
-                                   loose, 1.0, "of what the log assumes"))  # fmt: skip
+                                   loose, 1.0, "of the log's value"))  # fmt: skip
         if explanation.kind == "tilt":
             lean = np.degrees(item.numbers[rows.tilt])
             size = float(np.linalg.norm(lean))

@@ -184,7 +184,7 @@ def joint_words(joints: Sequence[str]) -> dict[tuple[str, ...], str]:
         while all(len(words) > first + last + 1 and words[-1 - last] == every[0][-1 - last] for words in every):
             last += 1
         shorter = [(words[first : len(words) - last], joint) for joint, words in all_words.items()]
-        # A number alone is no name.
+        # A number alone is not a name.
         shorter = [(words if not words[0].isdigit() else ("joint", *words), joint) for words, joint in shorter]
         found |= dict(shorter) if len({words for words, _ in shorter}) == len(joints) else {}
     bare = [(tuple(w for w in words if w not in ("joint", "jnt")), joint) for joint, words in all_words.items()]
@@ -231,13 +231,13 @@ def _role(name: str, template: tuple[str, ...], joint: str, number: int, stated:
     if kind == POSITION and "dot" in words:
         kind = SPEED
     unit = stated_unit(name, kind, stated)
-    # What ends a name as its unit is no other word of it.
+    # What ends a name as its unit is not another word of it.
     tail = _unit_words(tuple(words), kind) if _bare(name) == name else 0
     words = words[: len(words) - tail]
     template = template[: len(template) - tail]
     turns = [word for word in words if word in _COMMAND or (word in _MEASURED and word != "act")]
     commanded = bool(turns) and turns[-1] in _COMMAND
-    # A point in space is no joint's.
+    # A point in space is not a joint's.
     in_space = not joint and bool(words) and words[-1] in ("x", "y", "z", "w")
     if in_space or "ddot" in words or (speaking and not kind) or set(words) & _OTHER:
         return Role(name, "other", commanded, template, joint, number, 0, unit)

@@ -36,7 +36,7 @@ class FileColumns:
 
     Attributes:
         values: by name: N or N × J values, or a few for the whole log (gains), in the file's units.
-        units: stated by the file beside the names; empty = none.
+        units: stated by the file next to the names; empty = none.
         rate_hz: rows per second that the file states; None = none.
         stamps: columns that the file has as dates or times of day; they hold seconds.
         notes: sentences on how it was read.

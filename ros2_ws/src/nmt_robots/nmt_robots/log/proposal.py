@@ -38,7 +38,7 @@ from nmt_robots.thresholds import THRESHOLDS
 _CONSTANTS = {"N*m": 1.0, "N": 1.0, "mN*m": 1e-3, "N*cm": 1e-2, "kN*m": 1e3, "kN": 1e3, "kgf*cm": 0.0980665,
               "kgf*m": 9.80665}  # fmt: skip
 _LIKE = 0.9
-"""Correlation from which a column without a word for it is a command of what it follows."""
+"""Correlation from which a column without a word for it is a command of the column it follows."""
 _MOST_NAMED = 40
 
 
@@ -383,7 +383,7 @@ class _Draft:
     # --- commands -----------------------------------------------------------------------------------------------------
 
     def _commands(self, speed: Family | None) -> dict[str, Family]:
-        """Commands by their names, and those whose names do not say of what by their values."""
+        """Commands by their names, and those without a quantity in their names by their values."""
         found = {
             kind: families[0]
             for kind in (POSITION, SPEED, TORQUE)
@@ -400,11 +400,13 @@ class _Draft:
             elif SPEED not in found and speed is not None and _follows(values, self._values_of(speed)):
                 found[SPEED] = family
             elif POSITION not in found:
-                self.remarks.append(f"{self._words(family)} is no command of positions by its values; it was left out.")
+                self.remarks.append(
+                    f"{self._words(family)} is not a command of positions by its values; it was left out."
+                )
         return found
 
     def _has_the_order(self, family: Family, kind: str) -> bool:
-        """Whether numbered commands beside joints with names are in their order, by what they follow."""
+        """Whether numbered commands next to joints with names are in their order, by what they follow."""
         if family.by == self._position.by or "array" in (family.by, self._position.by):
             return True
         return kind == POSITION and _follows(self._values_of(family), self._values_of(self._position))
@@ -493,7 +495,7 @@ class _Draft:
         for key, family in (("command", command.get(TORQUE)), ("measured", torque)):
             if family is not None and _is_law(terms, self._values_of(family)):
                 names = self._column_list(family)
-                self.remarks.append(f"{names} is the control law of the drives itself, so it is no {key} torque.")
+                self.remarks.append(f"{names} is the control law of the drives itself, so it is not a {key} torque.")
                 if key == "command":
                     command.pop(TORQUE)
                 else:

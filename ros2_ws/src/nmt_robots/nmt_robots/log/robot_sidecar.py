@@ -62,7 +62,7 @@ class AngleSection(_Section):
         unit: of the values, one for all or one for each joint.
         sign: of each joint, 1 or −1; left out = 1.
         zero: value of the column where the model's joint is at zero.
-        gear: turns of what was measured for one turn of the joint.
+        gear: measured turns for one turn of the joint.
         full_scale: of joints in percent: rad (m) that 100 % are.
     """
 
@@ -166,7 +166,7 @@ def robot_of_sidecar(path: Path) -> Path | None:
     """The model that a sidecar names; None for a log without a sidecar, or where it names none.
 
     Raises:
-        BenchError: the sidecar is wrong, or there is no such file.
+        BenchError: the sidecar is wrong, or no such file exists.
     """
     if path.suffix.lower() not in (".yaml", ".yml"):
         return None
@@ -197,7 +197,7 @@ def _valid(document: YamlDocument) -> RobotSidecar:
     """
     if "robot_log" not in document.values:
         raise BenchError(
-            f"{document.name} is no sidecar of a robot's log; make one: ./nmt import --init LOG --robot ROBOT.xml."
+            f"{document.name} is not a sidecar of a robot's log; make one: ./nmt import --init LOG --robot ROBOT.xml."
         )
     for path, place in document.places.items():
         if _at(document.values, path) == "?":
@@ -315,7 +315,7 @@ def _checked(log: JointLog) -> JointLog:
         raise BenchError(f"{log.source}: the time column stands still; give time.rate_hz instead.")
     if not _FASTEST_S < log.step_s < _SLOWEST_S:
         raise BenchError(
-            f"{log.source}: its rows are {log.step_s:.3g} s apart, which is no log of a motion; check time.unit or "
+            f"{log.source}: its rows are {log.step_s:.3g} s apart, which is not a log of a motion; check time.unit or "
             "time.rate_hz."
         )
     for name, largest in _LARGEST.items():
@@ -348,11 +348,11 @@ _LARGEST = {
     "position": 1e5, "velocity": 1e6, "position_command": 1e5, "velocity_command": 1e6, "torque_command": 1e9,
     "torque": 1e9,
 }  # fmt: skip
-"""In SI units; what is beyond is no reading of a joint."""
+"""In SI units; what is beyond is not a reading of a joint."""
 
 
 def _check_torque(log: JointLog) -> None:
-    """Raise where a joint moves and its torque is no reading.
+    """Raise where a joint moves and its torque is not a reading.
 
     Raises:
         BenchError: the torque is the same in all rows, or the gains make none.
@@ -363,7 +363,8 @@ def _check_torque(log: JointLog) -> None:
         if np.any(same):
             names = ", ".join(name for name, is_same in zip(log.joints, same, strict=True) if is_same)
             raise BenchError(
-                f"{log.source}: the torque of {names} is the same in all rows, so it is no reading; leave torque out "
+                f"{log.source}: the torque of {names} is the same in all rows, so it is not a reading; leave torque "
+                f"out "
                 "and give gains.kp, gains.kd and command.position, or take a joint that was held still out of joints."
             )
         return
@@ -372,7 +373,7 @@ def _check_torque(log: JointLog) -> None:
     assert log.position_command is not None
     gains = np.abs(np.r_[log.position_gain, log.velocity_gain])
     if not np.all(np.isfinite(gains)) or np.any(gains > 1e9):
-        raise BenchError(f"{log.source}: a gain is no possible number; give gains.kp and gains.kd as they were.")
+        raise BenchError(f"{log.source}: a gain is not a possible number; give gains.kp and gains.kd as they were.")
     speed_error = log.velocity_gain * np.ptp(log.position, axis=0)
     silent = moves & (log.position_gain * np.ptp(log.position_command - log.position, axis=0) + speed_error == 0.0)
     if np.any(silent):
@@ -444,7 +445,7 @@ class _Columns:
 
     @staticmethod
     def commanded(command: Columns | _Moving | None, measured: _Moving) -> _Moving | None:
-        """A command as a section: with its own unit, or in that of what is measured."""
+        """A command as a section: with its own unit, or in that of the measurement."""
         if command is None or isinstance(command, _Section):
             return command
         return measured.model_copy(update={"column": command})

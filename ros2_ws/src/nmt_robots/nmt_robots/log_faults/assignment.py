@@ -1,7 +1,7 @@
 """Whether the columns of a log are the joints that they are called, and turn the way the model's joints turn.
 
-Two columns in each other's place, or one turned, are told where the rigid bodies would explain far more of the torque
-so. Nothing is fitted in the other order: the sidecar is to be put right.
+Two columns in each other's place, or one turned, are reported where the rigid bodies would explain far more of the
+torque so. Nothing is fitted in the other order: the sidecar is to be put right.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _ROWS = 800
 _POOR = 0.15
 """Torque left over as a share of the torque above which the columns are doubted."""
 _BETTER = 0.35
-"""Of what the columns as named leave over, squared, by the joints that change."""
+"""Of the squared residual of the columns as named, by the joints that change."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def assignment_findings(model: RobotModel, log: JointLog, motion: Motion, torque
     if best.places != plain:
         sentence = (
             f"The columns of {names[0]} and {names[1]} are in each other's place: so the bodies leave "
-            f"{100 * np.sqrt(least):.0f} % of what they leave over as named. Put the order of the joints right."
+            f"{100 * np.sqrt(least):.0f} % of the residual as named. Put the order of the joints right."
         )
         return [Finding("order", sentence, float(np.sqrt(least)), float("nan"), "1", joints=names)]
     lowest = turned[best.changed[0]]
@@ -69,7 +69,7 @@ def assignment_findings(model: RobotModel, log: JointLog, motion: Motion, torque
     names = tuple(log.joints[number] for number, left_over in turned.items() if left_over < 1.5 * lowest)
     sentence = (
         f"{' or '.join(names)} turns the other way than in the model: with its columns turned the bodies leave "
-        f"{100 * np.sqrt(least):.0f} % of what they leave over as logged. Put its sign right."
+        f"{100 * np.sqrt(least):.0f} % of the residual as logged. Put its sign right."
     )
     return [Finding("joint_sign", sentence, float(np.sqrt(least)), float("nan"), "1", joints=names)]
 
@@ -103,7 +103,7 @@ def _left(model: RobotModel, log: JointLog, motion: Motion, torque: Array, rows:
         size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
         left = acting[:, joint] - rigid[:, joint]
         solution = np.linalg.lstsq(matrix / size, left, rcond=1e-10)[0] / size
-        # A negative armature or damping is no explanation.
+        # A negative armature or damping is not an explanation.
         solution = np.maximum(solution, 0.0)
         found[joint] = float(np.sum((left - matrix @ solution) ** 2) / max(np.sum(acting[:, joint] ** 2), 1e-300))
     return found

@@ -17,7 +17,7 @@ from nmt_robots.thresholds import THRESHOLDS
 _SHARE_OF_ONE = 0.4
 """Of the plain residual, taken by a lag that a single joint has to show."""
 _DOUBTFUL = 0.15
-"""Torque left over, as a share, from which a lag may be made of what is not understood."""
+"""Torque left over, as a share, from which a lag may stand for an unknown cause."""
 _ORDINARY_S = 0.002
 """A control loop that holds its torque for a millisecond and a current loop are so late, s."""
 
@@ -127,7 +127,7 @@ def reading_findings(scores: ReadingScores, held_s: float) -> list[Finding]:
     others = [getattr(item, late) for item in alike if bool(item.command_lag_s) == kind and getattr(item, late)]
     if others:
         std = float(np.hypot(std, max(abs(other - lag) for other in others) / np.sqrt(3.0)))
-    # A command that is held is late by half of its time beside one that runs straight.
+    # A command that is held is late by half of its time compared with one that runs straight.
     expected = 0.5 * held_s if best.command == SMOOTH else 0.0
     # One joint alone makes a lag of much that it has not in common with others.
     several = int(np.sum(np.all(np.isfinite(scores.by_joint), axis=0))) > 1
@@ -144,8 +144,8 @@ def reading_findings(scores: ReadingScores, held_s: float) -> list[Finding]:
             Finding(
                 late.removesuffix("_s"),
                 f"The {what} is {1e3 * abs(lag):.3g} ± {1e3 * std:.2g} ms {sense} against the motion in all joints "
-                f"({joints}); read so, {100 * share:.0f} % of what the plain reading leaves over is gone. To first "
-                "order such a delay is a damping of −kp·δ and an armature of −kd·δ, so neither is told without it.",
+                f"({joints}); read so, {100 * share:.0f} % of the residual of the plain reading is gone. To first "
+                "order such a delay is a damping of −kp·δ and an armature of −kd·δ, so neither is reported without it.",
                 lag, std, "s", share, fault=bool(sure) and abs(lag - expected) > _ORDINARY_S + 0.25 * expected,
             )
         )  # fmt: skip

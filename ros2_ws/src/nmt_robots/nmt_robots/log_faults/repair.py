@@ -1,7 +1,7 @@
 """Rows, clock and units that can be put right: turns, degrees, repeated and missing rows, a clock that is not even.
 
-What is wrong is told by :mod:`nmt_robots.log_faults.rows` and its neighbours on the log as it is; here it is mended, so
-that the mechanics do not pay for it. All that follows is computed of the mended log, on an even clock.
+What is wrong is found by :mod:`nmt_robots.log_faults.rows` and its neighbours on the log as it is; here it is mended,
+so that the mechanics do not pay for it. All that follows is computed of the mended log, on an even clock.
 """
 
 from __future__ import annotations

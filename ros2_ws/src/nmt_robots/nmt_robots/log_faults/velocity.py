@@ -17,7 +17,7 @@ _ORDINARY_S = 0.002
 
 
 def velocity_findings(log: JointLog, motion: Motion) -> list[Finding]:
-    """What the speeds of a log say beside its positions."""
+    """What the speeds of a log say next to its positions."""
     if log.velocity is None:
         return [
             Finding(
@@ -42,7 +42,7 @@ def velocity_findings(log: JointLog, motion: Motion) -> list[Finding]:
     if not names:
         return []
     quick = float(np.median(np.std(motion.a, axis=0) / np.maximum(np.std(motion.v, axis=0), 1e-300)))
-    # What a filter of that lag takes of the amplitude is no factor.
+    # What a filter of that lag takes of the amplitude is not a factor.
     taken = min((float(np.median([lag for lag, _ in lags])) * quick) ** 2, 0.2)
     return [*_factors(names, np.array(factors), taken), *_lag(names, np.array(lags), log.step_s)]
 
@@ -73,7 +73,7 @@ def _factors(names: list[str], factors: Array, taken: float) -> list[Finding]:
         found.append(
             Finding(
                 "clock_factor",
-                f"All speeds are {middle:.4f} ± {std:.4f} of what the positions and the clock give: "
+                f"All speeds are {middle:.4f} ± {std:.4f} of those by positions and clock: "
                 f"{_factor_of(middle)}, or the clock runs at another rate than stated.",
                 middle, std, "1",
             )

@@ -66,7 +66,7 @@ class Effect:
         smallest: the same below which it is not.
         frees: key of a usual effect that it brings with it, such as the offset of a spring whose rest is not known.
         made_of_torque: whether the columns are part of the drive's torque itself, so that they can make it small.
-        law: that the columns follow; None of what more than one joint's state makes.
+        law: that the columns follow; None for columns of more than one joint.
     """
 
     key: str

@@ -167,8 +167,8 @@ class JointProblem:
         self.usual = usual_effects(motion, joint)
         self._filtered: dict[int, Array] = {}
         every = rival_effects(motion, joint, drive.through(motion.smooth), names)
-        # A velocity gain beside a commanded speed of zero, or the inertia of a single link: it is named with the usual
-        # effect that has the same column, and is no rival of it.
+        # A velocity gain next to a commanded speed of zero, or the inertia of a single link: it is named with the usual
+        # effect that has the same column, and is not a rival of it.
         twins = self._twins(every)
         self.rivals = [rival for rival in every if rival not in twins]
         self.library = [*self.usual, *self.rivals, *twins]
@@ -297,7 +297,7 @@ class JointProblem:
         return Fall(words, falls[0], std)
 
     def credible(self, effects: list[Effect], rival: Effect) -> bool:
-        """Whether a rival beside other effects is within its limits where all of them are free."""
+        """Whether a rival with other effects is within its limits where all of them are free."""
         values = self.fit([*effects, rival]).values[-rival.parameters :]
         size = float(np.linalg.norm(values))
         takes = _rms(self.columns([rival]) @ values)

@@ -1,7 +1,8 @@
 """Ways to read what a drive did from what the log says it was told.
 
 A command in a log may be held until the next one arrives or smoothed in the drive, and command or torque may be late.
-Each reading gives a torque; which one fits is asked of all joints together, for a drive's clock is no joint's friction.
+Each reading gives a torque; which one fits is asked of all joints together, for a drive's clock is not a joint's
+friction.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from nmt_robots.thresholds import THRESHOLDS
 
 _STEP_S = 5e-4
 _SLOWEST, _FASTEST = 2.0 * np.pi * 3.0, 2.0 * np.pi * 100.0
-"""Natural frequencies of the link behind its transmission that are looked for, rad/s."""
+"""Natural frequencies of the link behind its transmission that are searched for, rad/s."""
 _NARROWED = 2
 _LONG_S = 0.06
 _AS_WELL = 1.5
@@ -109,7 +109,7 @@ class LinkBehindTransmission:
         sides = np.column_stack([candidates.stiffness, damper, 0.5 * candidates.gap])
         signals = np.column_stack([self._angle, self._speed, self._inverse, self._needed, self._change])
         result: Array = _passed_on(sides, signals, self._step, self._parts)
-        # What runs away is no candidate.
+        # What runs away is not a candidate.
         return np.where(np.isfinite(result) & (np.abs(result) < 1e9), result, 1e9)
 
 
@@ -244,7 +244,7 @@ def _spread(values: Array, by_reading: Array, mask: Array, best: int) -> float:
 
 
 class _Scorer:
-    """Mean squares that a torque in the place of the rigid one leaves over beside the usual effects, by halves.
+    """Mean squares that a torque in the place of the rigid one leaves over with the usual effects, by halves.
 
     All passes one more and longer filter: a link behind a transmission would else win by the encoder's noise alone,
     which it does not follow.

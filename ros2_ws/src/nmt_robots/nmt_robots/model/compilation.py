@@ -68,7 +68,7 @@ def read_robot(path: Path) -> RobotFile:
     """Read a robot's file.
 
     Raises:
-        BenchError: it cannot be read or is no robot; it has closed loops.
+        BenchError: it cannot be read or is not a robot; it has closed loops.
     """
     text = read_text(path, "robot file", LARGEST_FILE)
     root = parse_robot(text, str(path))
@@ -166,7 +166,7 @@ def _answer(name: str, request: dict[str, Any]) -> tuple[bytes, str]:
             if failure.is_memory:
                 raise BenchError(
                     f"{name} needs more than the {_LARGEST_MODEL // 2**20} MiB that a robot may have; leave out what "
-                    "is no robot."
+                    "is not a robot."
                 ) from None
             what = "" if failure.kind.endswith("BenchError") else " cannot be read as a robot"
             raise BenchError(f"{name}{what}: {failure.why.rstrip('.')}.") from None

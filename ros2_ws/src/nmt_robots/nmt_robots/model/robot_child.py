@@ -55,7 +55,7 @@ def compiled(request: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
 
 
 def _name(body: Any) -> str:
-    """Of a body, or of what moves it."""
+    """Of a body, or of its drive."""
     return str(body.name or next((joint.name for joint in body.joints if joint.name), "") or "a body without a name")
 
 
@@ -221,7 +221,7 @@ if __name__ == "__main__":
     except BenchError:
         raise
     except (ValueError, RuntimeError) as error:
-        # Its lines are those of what it was given, not of the user's file.
+        # Its lines are those of its own input, not of the user's file.
         words = re.sub(r"\b(XML )?Error: |,? \(?line \d+\)?", "", str(error))
         raise ValueError("; ".join(line.strip() for line in words.splitlines() if line.strip())) from None
     size = mujoco.mj_sizeModel(model)

@@ -20,7 +20,7 @@ from nmt_robots.model.compilation import RobotFile, compiled, read_robot
 from nmt_robots.model.coupling import Array, Follower, followers
 
 _NOTHING = np.empty(0)
-"""In the place of what an older MuJoCo has not."""
+"""Stand-in for features that an older MuJoCo lacks."""
 
 _MOST_TESTS = 200_000_000
 """Of pairs of shapes that are looked at for contacts, over all poses."""
@@ -97,7 +97,8 @@ class RobotModel:
         path: of an MJCF or URDF file.
 
     Raises:
-        BenchError: MuJoCo is missing, the file is no robot, it has closed loops, or a mesh that gives mass is missing.
+        BenchError: MuJoCo is missing, the file is not a robot, it has closed loops, or a mesh that gives mass is
+            missing.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -191,7 +192,7 @@ class RobotModel:
         for name in names:
             if name in self._others:
                 raise BenchError(
-                    f"{self.path}: joint {name} is no hinge or slide ({self._others[name]}); only those can be "
+                    f"{self.path}: joint {name} is not a hinge or slide ({self._others[name]}); only those can be "
                     "diagnosed."
                 )
         unknown = [name for name in names if name not in by_name]
@@ -337,7 +338,7 @@ class RobotModel:
         return shares
 
     def _given_way(self, speeds: Array) -> Array:
-        """Change of the joints' torque as the base moves freely under what the limbs do, beside its weight."""
+        """Change of the joints' torque as the base moves freely under what the limbs do, next to its weight."""
         mujoco, model, data = self._mujoco, self._model, self._data
         base = slice(self._base, self._base + 6)
         mass = np.zeros((6, model.nv))
@@ -475,7 +476,9 @@ class RobotModel:
         if self.joints:
             return
         for name, kind in self._others.items():
-            raise BenchError(f"{self.path}: joint {name} is no hinge or slide ({kind}); only those can be diagnosed.")
+            raise BenchError(
+                f"{self.path}: joint {name} is not a hinge or slide ({kind}); only those can be diagnosed."
+            )
         alone = "a free body alone" if self.floating else "no joint that moves"
         raise BenchError(
             f"{self.path} has {alone}; a robot needs hinges or slides whose positions are in the log. A body on "

@@ -119,7 +119,7 @@ def checked_number(word: str, name: str, element: Element, attribute: str, unlim
     if unlimited and abs(value) > LARGEST:
         return math.copysign(LARGEST, value)
     if not abs(value) <= LARGEST:
-        what = f"{value:g} is beyond every robot" if abs(value) > LARGEST else f"{word[:40]} is no number"
+        what = f"{value:g} is beyond every robot" if abs(value) > LARGEST else f"{word[:40]} is not a number"
         raise BenchError(f"{name} line {element.line}: {attribute} of <{element.name}>: {what}; write its value.")
     return value
 

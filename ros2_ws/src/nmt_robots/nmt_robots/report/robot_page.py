@@ -77,7 +77,7 @@ def _log(diagnosis: RobotDiagnosis) -> Markup:
         whose = ", ".join(finding.joints) or "all"
         rows.append(("fault" if finding.fault else "note", finding.sentence, size if is_known(finding.size) else "",
                      share, whose))  # fmt: skip
-    head = [("", ""), ("finding", ""), ("size", ""), ("share of what was left", ""), ("joints", "")]
+    head = [("", ""), ("finding", ""), ("size", ""), ("share of the residual", ""), ("joints", "")]
     others = ", or ".join(reading.text() for reading in diagnosis.as_well[1:])
     note = f"Fits as well: {others}." if others else "No other reading fits as well."
     return html_table(head, rows, note)
@@ -116,7 +116,7 @@ def _bodies(diagnosis: RobotDiagnosis) -> Markup:
 def _joints(diagnosis: RobotDiagnosis) -> Markup:
     rows = [_joint_row(joint) for joint in diagnosis.joints]
     head = [("joint", ""), ("what differs", ""), ("closed", ""), ("torque left", "N·m"), ("what remains", "")]
-    return html_table(head, rows, "Closed: of what the model as given leaves over, on seconds that no fit has seen.")
+    return html_table(head, rows, "Closed: of the residual of the model as given, on seconds that no fit has seen.")
 
 
 def _joint_row(joint: JointVerdict) -> tuple[str, ...]:
@@ -231,7 +231,7 @@ def _next(diagnosis: RobotDiagnosis) -> Markup:
     rows = [(str(number + 1), request.sentence) for number, request in enumerate(diagnosis.next.requests)]
     note = (
         "trajectory.csv and trajectory.yaml (trajectory_msgs/JointTrajectory) hold it, inside the ranges of the joints "
-        "and no faster than this log. They know nothing of what stands around the robot: look first."
+        "and no faster than this log. They do not know the robot's surroundings: look first."
     )
     return html_table([("part", ""), ("motion and what it parts", "")], rows, note)
 
@@ -251,7 +251,7 @@ def _limits(diagnosis: RobotDiagnosis) -> Markup:
 
 
 def _drawing(diagnosis: RobotDiagnosis) -> ReportFigure:
-    """Joints where the robot's kinematics has them, coloured by what is left."""
+    """Joints where the robot's kinematics has them, coloured by the residual."""
     pose = np.median(diagnosis.motion.q, axis=0)
     anchors, before = diagnosis.model.positions(diagnosis.log.joints, pose)
     share = np.array(
@@ -276,7 +276,7 @@ def _drawing(diagnosis: RobotDiagnosis) -> ReportFigure:
     bar.grid(False)
     names = ", ".join(f"{number + 1} {name}" for number, name in enumerate(diagnosis.log.joints))
     label = "The robot's joints, coloured by the share of torque that is left over"
-    return ReportFigure("robot", "The robot", f"Joints by what is left of their torque: {names}.",
+    return ReportFigure("robot", "The robot", f"Joints by their remaining torque: {names}.",
                         svg_text(figure, "robot", label))  # fmt: skip
 
 

@@ -36,7 +36,7 @@ class Term:
         alike: what nearly the same column could be as well.
         equal: those of them that no fit of such a log parts from this one.
         impossible: coefficient that would have been negative and may not be; zero elsewhere.
-        probability: posterior probability that its cause is there, beside the other causes that were asked.
+        probability: posterior probability that its cause is there, with the other causes that were asked.
     """
 
     key: str
@@ -92,7 +92,7 @@ class JointVerdict:
         plain: left by the plain fit with the log read as chosen.
         left: left by all terms.
         last_plain, last: the same of the last part of the log.
-        remains: sentence on what is left over.
+        remains: sentence on the residual.
         transmission: behind which its link moves by itself; None of a rigid one.
     """
 
@@ -121,7 +121,7 @@ class JointVerdict:
 
     @property
     def closed(self) -> float:
-        """Share of what the model as given leaves over that is gone on held-out seconds."""
+        """Share of the residual of the model as given that is gone on held-out seconds."""
         return 1.0 - self.left / self.unchanged if self.unchanged > 0.0 else float("nan")
 
     @property
@@ -177,7 +177,8 @@ def without_claims(verdict: JointVerdict, reason: str) -> JointVerdict:
 
 
 def undisturbed(verdicts: list[JointVerdict]) -> list[JointVerdict]:
-    """The answers with small claims taken back beside a joint that is not understood, whose link's motion is not known.
+    """The answers with small claims taken back next to a joint that is not understood, whose link's motion is not
+    known.
 
     The mass of a link that several joints carry is claimed at its own joint.
     """
@@ -270,7 +271,7 @@ _FRICTION = frozenset(
 _OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
 _GAINS = {"kp": "position", "kd": "velocity"}
 _DISTURBING = 0.15
-"""Torque left over in a joint, as a share, from which others beside it pay for its motion."""
+"""Torque left over in a joint, as a share, from which others next to it pay for its motion."""
 _TOLERANCES = {
     "coulomb": THRESHOLDS.coulomb_tolerance,
     "viscous": THRESHOLDS.damping_tolerance,
@@ -326,7 +327,7 @@ def joint_verdict(
         words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
         size = share.size
         if share.fall is not None:
-            # A coefficient at no speed lies outside of what the log holds.
+            # A coefficient at no speed lies outside the speeds of the log.
             std = float(np.hypot(share.fall.std, abs(share.fall.size) * std / max(abs(size), 1e-300)))
             words, size = share.fall.words, share.fall.size
         terms.append(
@@ -410,7 +411,7 @@ def _left_by_model(
 
 
 def _remains(best: JointMechanics) -> str:
-    """What is left over, and what it may be."""
+    """The residual, and what it may be."""
     after = best.held_out
     share = after.interleaved / max(after.torque, 1e-300)
     words = f"{percent(share)} of the torque"

@@ -85,7 +85,7 @@ def next_motion(
     motion: Motion, joints: Sequence[Joint], verdicts: Sequence[JointVerdict], as_well: Sequence[Reading],
     classes: Sequence[str] = (),
 ) -> NextMotion:  # fmt: skip
-    """The motion that parts what is left open; where nothing is, one of another kind, as a test of the answer.
+    """The motion that parts what remains open; where nothing is, one of another kind, as a test of the answer.
 
     Args:
         motion: of the log.
@@ -144,7 +144,7 @@ def _wanted(
     motion: Motion, joints: Sequence[Joint], verdicts: Sequence[JointVerdict], as_well: Sequence[Reading],
     classes: Sequence[str],
 ) -> list[Request]:  # fmt: skip
-    """Parts by what is left open, what matters most first, at most three."""
+    """Parts by what remains open, what matters most first, at most three."""
     found: list[Request] = []
 
     def ask(kind: str, names: Sequence[str], why: str) -> None:

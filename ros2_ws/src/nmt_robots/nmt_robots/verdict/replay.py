@@ -1,7 +1,7 @@
 """The log once more in simulation: through the model as given, and through the model as it was changed.
 
 Where the law of the drives makes the torque, the log's command goes through it, and the robot moves freely from the
-first row on. Where the torque was measured and is no such law, it acts in short windows that each start from the
+first row on. Where the torque was measured and is not such a law, it acts in short windows that each start from the
 measured motion, for without a drive an error of the torque grows without bound. Both go over the last part of the log
 with values of the rows before it.
 """
@@ -50,7 +50,7 @@ class JointReplay:
 
     @property
     def before(self) -> float:
-        """Rms of what the model as given misses; NaN where its motion runs away."""
+        """Rms residual of the model as given; NaN where its motion runs away."""
         return float(np.sqrt(np.mean((self.by_model - self.measured) ** 2)))
 
     @property
@@ -67,7 +67,7 @@ class Replay:
         how: sentence on what drove it, and over which rows.
         time: rows, s.
         joints: of the columns of the log.
-        changed: words of what was changed, by joint.
+        changed: words of the changes, by joint.
     """
 
     how: str
@@ -96,7 +96,7 @@ class ChangedJoint:
         further: effects that the robot's file has no word for, with their coefficients.
         mass: factor of its link's mass.
         transmission: behind which its link moves by itself.
-        words: of what was changed; empty = nothing.
+        words: of the changes; empty = nothing.
     """
 
     armature: float
@@ -317,7 +317,7 @@ class Simulated:
         return q, v
 
     def _advance(self, q: Array, v: Array, acting: Array, error: Array, speed_error: Array) -> None:
-        """One step with all that the joints have beside bodies, armature and damping."""
+        """One step with all that the joints have next to bodies, armature and damping."""
         torque, dry = acting.copy(), self._coulomb.copy()
         gravity = inertial = np.full(len(q), np.nan)
         if self._of_bodies:

@@ -30,14 +30,14 @@ class JointWithTransmission:
         transmission: that was found.
         mechanics: of the joint with it.
         share: of the joint's torque that it changes, rms over rms.
-        beside: sentence on the fault of the log beside which it is not claimed; empty = it is.
+        log_fault: sentence on the fault of the log that prevents the claim; empty = it is.
     """
 
     number: int
     transmission: Transmission
     mechanics: JointMechanics
     share: float
-    beside: str = ""
+    log_fault: str = ""
 
 
 def joint_with_transmission(
@@ -46,7 +46,7 @@ def joint_with_transmission(
 ) -> JointWithTransmission | None:  # fmt: skip
     """The joint that a transmission explains best, where it explains what else stays; None without one.
 
-    One only: a link that swings is felt by all joints beside it.
+    One only: a link that swings is felt by all joints next to it.
 
     Args:
         robot, log, motion, drive: of the diagnosis.
@@ -82,8 +82,8 @@ def joint_with_transmission(
     if after.interleaved > min(before.interleaved, THRESHOLDS.unexplained * after.torque):
         return None
     faults = [finding for finding in found if finding.fault and finding.key in _OF_TIMING]
-    beside = next((finding.sentence for finding in faults if not is_known(finding.share) or finding.share > 0.0), "")
-    return JointWithTransmission(number, item, mechanics, share, beside)
+    log_fault = next((finding.sentence for finding in faults if not is_known(finding.share) or finding.share > 0.0), "")
+    return JointWithTransmission(number, item, mechanics, share, log_fault)
 
 
 def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain: JointVerdict) -> JointVerdict:
@@ -95,15 +95,15 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
         plain: the answer without it.
     """
     item = found.transmission
-    if found.beside:
+    if found.log_fault:
         kind = "backlash" if item.gap else "a transmission that gives way"
-        return replace(plain, remains=f"{plain.remains}; {kind} may be there, but is not told beside the log's fault")
+        return replace(plain, remains=f"{plain.remains}; {kind} may be there, but is not reported with the log's fault")
     figures = (plain.torque, plain.as_logged)
     verdict = joint_verdict(joint, item.motion, found.number, [found.mechanics], figures, np.zeros(len(item.motion.q)))
     alike = item.other < 1.5 * item.left
     if item.gap:
         other = ("elastic transmission",) if alike else ()
-        # The stiffness behind it is not told: it reads a quarter to a half of what it is.
+        # The stiffness behind it is not reported: it reads a quarter to a half of the true one.
         term = Term(
             "backlash", "backlash from end to end,", "rad", item.gap, item.gap_std, 0.0, found.share, True, other
         )

@@ -46,7 +46,7 @@ def resolution(values: FloatArray) -> float:
     steps = steps[steps > finest]
     if steps.size < 3:
         return 0.0
-    # Where the same few values repeat, none may be one step beside another.
+    # Where the same few values repeat, none may be one step next to another.
     for parts in range(1, 9):
         step = float(steps.min()) / parts
         ratio = steps / step

@@ -1,4 +1,4 @@
-"""Spectral lines that follow no excitation: the mains, beside the harmonics of a steady oscillation or in silence."""
+"""Spectral lines that follow no excitation: the mains, with the harmonics of a steady oscillation or in silence."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ def mains_line(
 ) -> Line | None:
     """Amplitude of a line of the mains in a window of steady oscillation, or in silence.
 
-    The line is fitted beside the harmonics, in pieces short enough for a mains that wanders; its phase is free. The
-    power that the noise of the neighbouring frequencies has is taken off: the amplitude is sign(P) √|P| of what is
-    left, P, so that windows without a line scatter about zero.
+    The line is fitted with the harmonics, in pieces short enough for a mains that wanders; its phase is free. The
+    power that the noise of the neighbouring frequencies has is taken off: the amplitude is sign(P) √|P| of the
+    remaining power P, so that windows without a line scatter about zero.
 
     Args:
         cycles: phase of the excitation, cycles, shape (samples,); None = there is none.
@@ -63,7 +63,7 @@ def mains_line(
     if cycles is not None:
         fundamental = float(cycles[-1] - cycles[0]) / (samples - 1) * sample_rate
         orders = np.arange(math.ceil(line_hz / fundamental) + len(_NEIGHBOURS)) * fundamental
-        # High orders of a joint that slips are folded at the sampling rate, and may come down beside the line.
+        # High orders of a joint that slips are folded at the sampling rate, and may come close to the line.
         high = np.arange(math.floor(0.5 * sample_rate / fundamental) + 1, _HIGHEST_FOLDED_ORDER + 1) * fundamental
         orders = np.concatenate((orders, np.abs(high - np.round(high / sample_rate) * sample_rate)))
     if np.abs(orders - line_hz).min() < CHANNEL_FAULTS.mains_clearance_lines * resolution:
@@ -92,7 +92,7 @@ def mains_line(
 
 
 def _beside_harmonics(cycles: FloatArray, data: FloatArray, harmonics: int, per_sample: FloatArray) -> ComplexArray:
-    """Complex amplitudes (channels, frequencies) of tones, each fitted beside the harmonics."""
+    """Complex amplitudes (channels, frequencies) of tones, each fitted with the harmonics."""
     steady = _tones(cycles, np.arange(1, harmonics + 1, dtype=np.float64))
     taken = np.concatenate((np.ones((1, cycles.size)), steady.real, steady.imag))
     tones = _tones(np.arange(cycles.size, dtype=np.float64), per_sample)

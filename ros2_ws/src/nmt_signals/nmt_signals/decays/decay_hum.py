@@ -1,7 +1,7 @@
-"""Lines of the mains beside a free decay: the demodulation passes what lies near the mode, and it would beat with it.
+"""Lines of the mains next to a free decay: the demodulation passes what lies near the mode, and it would beat with it.
 
 The mode's slow amplitude and phase are taken as smooth, so smooth that they cannot follow the beat. What the samples
-are beside it holds the line, which has constant amplitude: it is fitted by weighted least squares, mainly where the
+are next to it holds the line, which has constant amplitude: it is fitted by weighted least squares, mainly where the
 mode is small, taken out, and the mode is found anew.
 """
 
@@ -24,7 +24,7 @@ from nmt_signals.thresholds import DECAYS
 _MAINS_ORDERS = (1, 2, 3)
 # Over the mode's frequency, the widest band of the demodulation.
 _BAND_RATIOS = (0.5, 1.5)
-# Degree of the smooth course of the mode beside the hum.
+# Degree of the smooth course of the mode next to the hum.
 _MOST_DEGREE = 7
 # Passes between hum and mode.
 _PASSES = 4
@@ -92,7 +92,7 @@ def _smooth(
     """The mode sample by sample.
 
     Returns:
-        Mode and its amplitude, each (count,), the first sample where they hold, and the lines beside the mode; None
+        Mode and its amplitude, each (count,), the first sample where they hold, and the lines with the mode; None
         where the decay does not stand out for some beats with any of the lines.
     """
     first, stop = span(slow, switched_off)

@@ -29,7 +29,7 @@ SEGMENT_MOST_PERIODS = 7
 """Periods of a segment of a decay that is not fast."""
 # Fall of the amplitude in a segment that is shorter.
 _SEGMENT_LOG_STEP = 1.2
-# What rings beside the mode may take so long to fade.
+# What rings with the mode may take so long to fade.
 _SETTLING_PERIODS = (0, 1, 2, 3, 4, 6, 8, 10)
 # Range below the largest amplitude in which segments are half as long.
 _LARGE_LOG_RANGE = 1.0

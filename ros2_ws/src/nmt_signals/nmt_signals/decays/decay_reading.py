@@ -1,7 +1,7 @@
 """One mode of a free decay, read from the samples of one channel: its slow amplitude and what its segments say.
 
-The strongest ridges of short spectra are candidates; whoever knows the structure chooses one. Lines of the mains beside
-it are taken out, and the band of the demodulation is as wide as tells most.
+The strongest ridges of short spectra are candidates; whoever knows the structure chooses one. Lines of the mains next
+to it are taken out, and the band of the demodulation is as wide as tells most.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def read_decay(
         quantity: displacement, velocity or acceleration.
         choose: the ridge of the mode, of those that were found, strongest first; raises BenchError where none will do.
         wanted: amplitudes.
-        floor: uncertainty of ln ω below which nothing more is told.
+        floor: uncertainty of ln ω below which nothing more is reported.
 
     Raises:
         BenchError: nothing of it can be used.

@@ -47,7 +47,7 @@ class Ridge:
         time_s: middles of the frames, s, shape (frames,).
         frequency_hz: shape (frames,).
         energy: of velocity, in each frame, arbitrary unit, shape (frames,).
-        clear: whether the mode stands out of what is around it in the frame, shape (frames,).
+        clear: whether the mode stands out of its surroundings in the frame, shape (frames,).
     """
 
     time_s: FloatArray
@@ -179,7 +179,7 @@ class SlowAmplitude:
         cycles: phase of every sample, cycles, shape (n,).
         width: periods of each boxcar of the window.
         time_s: of each middle from the first sample, s, shape (k,).
-        values: fundamental amplitude in the channel's unit; its argument is what is left of the phase, shape (k,).
+        values: fundamental amplitude in the channel's unit; its argument is the residual phase, shape (k,).
         stride: periods from one value to the next; more than one in a very long decay.
     """
 
@@ -242,7 +242,7 @@ def demodulated(samples: FloatArray, cycles: FloatArray, width: int) -> ComplexA
 
 
 def slow_amplitude(samples: FloatArray, sample_rate: float, ridge: Ridge, width: int) -> SlowAmplitude:
-    """Demodulate a decay on the phase of one ridge, which is corrected by what is left.
+    """Demodulate a decay on the phase of one ridge, which is corrected by the residual.
 
     Args:
         samples: without mean, shape (n,).
@@ -287,7 +287,7 @@ def _steadied(ridge: Ridge) -> FloatArray:
 
 
 def _moved(cycles: FloatArray, at: FloatArray, values: ComplexArray) -> FloatArray | None:
-    """The phase with what is left of it, as far as the decay stands out; None where time would run backwards."""
+    """The phase with its residual, as far as the decay stands out; None where time would run backwards."""
     size = np.abs(values)
     noise = float(np.median(size[-max(3, size.size // 20) :]))
     strong = np.flatnonzero(size > min(3.0 * noise, 1e-2 * size.max()))

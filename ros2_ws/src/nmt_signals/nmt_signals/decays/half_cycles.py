@@ -18,7 +18,7 @@ from nmt_signals.band_limited import finer
 from nmt_signals.decays.decay_nodes import Node
 from nmt_signals.thresholds import DECAYS
 
-# Smoothing before turning points are looked for.
+# Smoothing before turning points are searched for.
 _SMOOTHING_PERIODS = 0.2
 # Either side of a turning point that the parabola is fitted to: a sine is one there within 0.4 %.
 _VERTEX_HALF_WIDTH_PERIODS = 0.1

@@ -135,7 +135,7 @@ def read_mat_table(path: Path, wanted: Sequence[str | int]) -> SourceTable:
 
 
 def _units_beside(columns: Mapping[str, FloatArray], texts: Mapping[str, str]) -> dict[str, dict[str, str | float]]:
-    """Unit of each column that stands as a text beside it in its struct, and point by an identifier as rod:1:+Z."""
+    """Unit of each column that stands as a text next to it in its struct, and point by an identifier as rod:1:+Z."""
     found: dict[str, dict[str, str | float]] = {}
     for key in columns:
         parts = re.sub(r"(\.\d+)+$", "", key).split(".")

@@ -134,7 +134,7 @@ def find_clock(table: SourceTable, sidecar: Sidecar, place: str) -> Clock:
 
 
 def _judged_clock(table: SourceTable, given: _Claim | None, sidecar: Sidecar, place: str) -> Clock:
-    """The clock that a bag's reader has found, beside a rate that the sidecar gives."""
+    """The clock that a bag's reader has found, next to a rate that the sidecar gives."""
     assert table.step is not None
     measured = 1.0 / table.step
     spread = max(_SAME_RATE, 5.0 * table.step_std)
@@ -553,7 +553,8 @@ def _measured_clock(table: SourceTable, axis: _Axis, stated: float | None) -> Cl
     if abs(drift[worst]) > max(0.6 * step, 1e-6 * (time[-1] - time[0])):
         raise BenchError(
             f"The rate changes within {table.file}: at {table.place(worst)} {name} is {abs(drift[worst]):.3g} s off an "
-            "even clock (two clocks in one table, or a gap that is no whole number of samples); split the file there."
+            "even clock (two clocks in one table, or a gap that is not a whole number of samples); split the file "
+            "there."
         )
     return _grid(table, time, index, fitted, stated, missing, name)
 

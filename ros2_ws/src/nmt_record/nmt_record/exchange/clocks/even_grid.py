@@ -90,7 +90,7 @@ def even_grid(
         as_stamped: whether samples may be moved to where their stamps have them.
 
     Raises:
-        BenchError: more than a third of the samples is missing, stretches have different rates, or there is no such
+        BenchError: more than a third of the samples is missing, stretches have different rates, or there is not such a
             stretch.
     """
     if not (np.diff(time) > 0.0).any():

@@ -1,4 +1,4 @@
-"""Columns that together or after a correction are a clock: seconds beside nanoseconds, counters that begin again, day
+"""Columns that together or after a correction are a clock: seconds next to nanoseconds, counters that begin again, day
 numbers, rows that stand newest first."""
 
 from __future__ import annotations

@@ -200,7 +200,7 @@ def export_bag(
         extent: the stretch.
         ascii_uff: UFF in ASCII (13 digits) instead of 58b (all bits).
         rig: text of the rig file; empty = none.
-        linear: ``linear.json`` to put beside; empty = none.
+        linear: ``linear.json`` to put next to; empty = none.
 
     Returns:
         Names of the files.

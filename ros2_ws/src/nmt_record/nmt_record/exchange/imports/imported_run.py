@@ -88,7 +88,7 @@ class ImportedRun:
     Attributes:
         path: of the sidecar.
         sidecar: what it says.
-        sample_rate: Hz; NaN if there is no time data.
+        sample_rate: Hz; NaN without time data.
         clock_std: relative standard uncertainty of it by the digits of the file; 0 = as good as a clock.
         first_sample: index of the first sample.
         channels: in SI units on one grid.
@@ -162,7 +162,7 @@ def check_proposal(text: str, path: Path) -> None:
 
     Args:
         text: the sidecar.
-        path: where it would be, beside its data.
+        path: where it would be, next to its data.
 
     Raises:
         BenchError: the import would refuse it.

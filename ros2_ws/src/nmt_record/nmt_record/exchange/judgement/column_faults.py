@@ -31,7 +31,7 @@ _WHOLE_TURNS = {"rad": 2.0 * math.pi, "deg": 360.0}
 _SIGN_BITS = (7, 9, 11, 12, 13, 14, 15, 17, 19, 21, 23, 27, 31)
 _FEWEST_SIGNS = 0.02  # share of either
 _COUNT_BITS = (8, 10, 12, 13, 14, 15, 16, 18, 20, 24, 32)
-_NARROW = 0.25  # of the range: what is left of a step when a range is taken off
+_NARROW = 0.25  # of the range: the rest of a step when a range is taken off
 _OVER = 1.02  # of the range: how far values reach
 _FEWEST_VALUES = 20
 
@@ -40,7 +40,7 @@ _HELD_SHARE = 0.95
 _FLAT_RUN, _FLAT_VALUES, _FLAT_LEVELS = 3, 6, 200
 _PIECES = 64
 _LAGS, _FEWEST_FITTED, _LONGEST_FITTED = 24, 960, 1_000_000
-_CLEAR_STEP, _USUAL = 7.0, 4.5  # standard deviations: of a step, and of what it may leave near it
+_CLEAR_STEP, _USUAL = 7.0, 4.5  # standard deviations: of a step, and of its surroundings
 _STEP_SHARE = 0.2  # of the standard deviation
 _LEAST_NOISE, _CANDIDATES = 1e-4, 20
 _ALIKE, _MOST_JUMPS = 0.4, 500  # of a step: another jump of the same kind; how many are looked at
@@ -93,7 +93,7 @@ def value_codes(values: FloatArray) -> BoolArray:
 
 
 def _jumps(values: FloatArray, which: BoolArray, least: float) -> bool:
-    """Whether the values beside all marked ones are far from them."""
+    """Whether the values next to all marked ones are far from them."""
     places = np.flatnonzero(which)
     for shift in (-1, 1):
         beside = places + shift

@@ -26,7 +26,7 @@ _LONGEST = 2_000_000
 _COHERENT = 0.9  # of lines by which motions are compared
 _COMPARED = 0.5  # share of the power that these lines have
 _HIGHEST = 0.8  # of half the sampling rate: above it differences of samples lose their gain
-_FACTOR = math.log(1.5)  # a gain that is no calibration
+_FACTOR = math.log(1.5)  # a gain that is not a calibration
 _NOTED_FACTOR = math.log(1.1)
 _QUARTER = (math.radians(60.0), math.radians(120.0))  # phases of another quantity
 _LATE = 0.3  # sampling intervals
@@ -221,7 +221,8 @@ def _sentences(
     for gain, name, than in ((found.gain, higher.name, first), (1.0 / found.gain, lower.name, second)):
         if gain < _FILTERED:
             notes.append(
-                f"Towards {found.frequency_hz[1]:.3g} Hz {name} falls to {100.0 * gain:.0f} % of what {than} says: a "
+                f"Towards {found.frequency_hz[1]:.3g} Hz {name} falls to {100.0 * gain:.0f} % of the value by "
+                f"{than}: a "
                 "filter."
             )
     return notes

@@ -49,7 +49,7 @@ def phase_jump(signals: Sequence[FloatArray], sample_rate: float) -> PhaseJump |
     A sine is fitted to each channel over a moving Hann window of two periods. The difference between the phases of
     adjacent windows, less its median (the frequency), is the step in between. The channels are averaged with the
     inverse of their variance, estimated from the median of the absolute differences, which a single step does not
-    move. A change of frequency is no step: it adds little over one window.
+    move. A change of frequency is not a step: it adds little over one window.
 
     Args:
         signals: channels of one stretch, each (samples,), without missing samples.

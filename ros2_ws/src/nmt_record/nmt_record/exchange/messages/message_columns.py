@@ -92,7 +92,7 @@ class _Structure:
     Attributes:
         numbers: paths.
         sequences: arrays.
-        labels: paths of what may name the message.
+        labels: paths of possible names of the message.
         stamps: paths of stamps, and of pairs of seconds and nanoseconds.
         is_pair: a key and a value that is a text.
     """
@@ -174,7 +174,7 @@ def structure_of(definitions: Any, kind: str, prefix: str = "", above: tuple[str
 
 
 def _pairs(numbers: list[str], prefix: str) -> list[tuple[str, str, str]]:
-    """Seconds and nanoseconds beside each other are one stamp; they are taken out of the numbers."""
+    """Seconds and nanoseconds next to each other are one stamp; they are taken out of the numbers."""
     result = []
     for path in list(numbers):
         name = path.removeprefix(prefix)

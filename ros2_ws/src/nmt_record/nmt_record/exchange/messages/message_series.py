@@ -82,7 +82,7 @@ def series_of(topic: str, reader: TopicReader, choice: ClockChoice) -> tuple[lis
     layouts = reader.layouts
     tables = [np.frombuffer(layout.values).reshape(len(layout.numbers), -1) for layout in layouts]
     names = {layout.label for layout in layouts}
-    # What is different in each message is no name.
+    # What is different in each message is not a name.
     labelled = len(names) > 1 and reader.count >= FEWEST * len(names)
     notes: list[str] = []
     places: dict[str, dict[int, int]] = {}

@@ -75,7 +75,7 @@ def bag_tables(path: Path) -> list[SourceTable]:
         path: folder, .mcap or .db3 file.
 
     Raises:
-        BenchError: it is no bag or one of the bench's, it cannot be read, or no topic has numbers.
+        BenchError: it is not a bag or one of the bench's, it cannot be read, or no topic has numbers.
     """
     bag = _foreign(path)
     notes: list[str] = list(bag.left_out.values())
@@ -107,7 +107,7 @@ def recordings_of(path: Path, choice: ClockChoice) -> tuple[list[tuple[Series, J
         choice: what its reader says of the clock.
 
     Raises:
-        BenchError: it is no bag or one of the bench's, or it cannot be read.
+        BenchError: it is not a bag or one of the bench's, or it cannot be read.
     """
     bag = _foreign(path)
     notes: list[str] = list(bag.left_out.values())
@@ -133,7 +133,7 @@ def read_bag(path: Path, wanted: Sequence[str | int], choice: ClockChoice | None
         choice: what the sidecar says of the clock; None = nothing.
 
     Raises:
-        BenchError: as :func:`bag_tables`, there is no such topic or column, or the clock must be asked for.
+        BenchError: as :func:`bag_tables`, no such topic or column exists, or the clock must be asked for.
     """
     bag = _foreign(path)
     choice = choice or ClockChoice()

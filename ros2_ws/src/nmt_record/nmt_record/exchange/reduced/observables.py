@@ -75,7 +75,7 @@ class ObservableTable:
     Attributes:
         kind: what it is.
         columns: name -> values, all of one length. Backbone: frequency_hz, amplitude, and as far as given
-            damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag (magnitude alone where nobody knows the
+            damping_ratio, level, force_n, phase; frf: frequency_hz, real, imag (magnitude alone with an unknown
             phase), and as far as given level, force_n (N, measured at each line), coherence.
             ``<name>_std`` is a standard uncertainty.
         units: name -> unit, SI (Hz for frequencies).
@@ -614,7 +614,7 @@ def _without_still_line(columns: dict[str, FloatArray], file: str, notes: list[s
     moving = columns["frequency_hz"] > 0.0
     if moving.all():
         return columns
-    notes.append(f"The line at 0 Hz of {file} is no vibration (offsets of sensors); it was left out.")
+    notes.append(f"The line at 0 Hz of {file} is not vibration (offsets of sensors); it was left out.")
     return {name: np.ascontiguousarray(values[moving]) for name, values in columns.items()}
 
 

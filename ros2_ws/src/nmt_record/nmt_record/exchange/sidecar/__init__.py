@@ -1,1 +1,1 @@
-"""Files beside the data: sidecar, calibration sheet, levels, locks and states of an exported run."""
+"""Files next to the data: sidecar, calibration sheet, levels, locks and states of an exported run."""

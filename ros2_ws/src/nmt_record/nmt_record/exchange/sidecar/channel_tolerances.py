@@ -28,7 +28,7 @@ Place = tuple[Quantity, int]
 
 @dataclass(frozen=True)
 class ChannelTolerance:
-    """Standard deviations of what a channel may be off by.
+    """Standard deviations of a channel's errors.
 
     Attributes:
         gain: relative.
@@ -91,7 +91,7 @@ def tolerances(
         sheet: None = none.
 
     Raises:
-        BenchError: what the bag says of a channel is no number.
+        BenchError: what the bag says of a channel is not a number.
     """
     simulated = is_simulated(run)
     default = NO_TOLERANCE if simulated else ChannelTolerance()

@@ -46,7 +46,7 @@ else:
     SignalKind = Literal[tuple(number.label for number in KINDS)]
     TableKindName = Literal[tuple(kind.value for kind in TableKind)]
 EXPORTED_KINDS = (TestKind.SELF_EXCITED, TestKind.SECONDARY_RESONANCE)
-"""Kinds whose windows mean something only with the lock events that an export has beside them."""
+"""Kinds whose windows mean something only with the lock events that an export has next to them."""
 _ELEMENTS = r"^(samples|channels|interleaved [1-9]\d*|bytes (u?int(8|16|32)|float(32|64))( big)?)$"
 HELD_KINDS = (TestKind.RECORD, TestKind.STEPPED_SINE)
 """Kinds of which the sidecar may say whether force or motion was given."""
@@ -61,30 +61,25 @@ class ChannelSection(_Section):
     """One column of the data.
 
     Attributes:
-        column: its name (CSV header, NPZ array, first ID line of a UFF dataset), or its number from 1.
-        quantity: what it measures; an angle or a strain stands where the model has a displacement, a
-            torque where it has a force.
+        column: name (CSV header, NPZ array, first ID line of a UFF dataset) or number from 1.
+        quantity: measured quantity; an angle or a strain replaces a displacement, a torque a force.
         unit: unit of the values after ``scale``.
         point: measurement point; left out where it belongs to none (drive voltage).
-        scale: factor of the values before the unit applies: N per count. Left out = as the file says (scale_factor of
-            netCDF, scale in a heading), else 1.
-        sign: −1 for a sensor mounted the other way round; left out = as the file says (direction of UFF), else 1.
-        delay_s: by how much the channel is late, s; it is taken out.
-        wrap: range after which its numbers begin again (65536 of 16 bits, 360 of degrees); they then go on, about zero
-            as far as may be. 0 = they do not begin again. Left out = whole turns of an angle are found.
-        sign_bit: bit of the sign of whole numbers that were written as sign and magnitude (15 of 16 bits). 0 = none.
-        zero_step: keep, where the zero of the channel steps and the load did so; left out = asked where a segment holds
-            such a step.
-        no_value: number that stands for no value; left out = the usual codes are found.
-        force_factor: of a current that is to serve as a force: N per A (N·m per A with ``force_unit``). It then stands
-            wherever a measured force does.
+        scale: factor before the unit applies: N per count; left out = as the file says, else 1.
+        sign: −1 for a reversed sensor; left out = as the file says, else 1.
+        delay_s: delay of the channel, s; it is removed.
+        wrap: range after which numbers begin again (65536, 360); 0 = never; left out = whole turns of an angle are
+            found.
+        sign_bit: sign bit of whole numbers in sign and magnitude (15 of 16 bits); 0 = none.
+        zero_step: keep = the load stepped, not the zero; left out = asked.
+        no_value: code of no value; left out = the usual codes.
+        force_factor: of a current that serves as a force: N per A (N·m per A with ``force_unit``).
         force_factor_std: its relative standard uncertainty; left out = 3 %.
         force_unit: N, or N*m where the current turns.
-        name: channel name in the bag; left out = letter of the quantity and point, such as a2.
+        name: name in the bag; left out = letter of the quantity and point, such as a2.
         gain_std: relative standard uncertainty of its calibration; left out = 1 %.
-        phase_std_deg: standard uncertainty of a phase that is the same at all frequencies, degrees; left out = 0.2.
-        delay_std_s: standard uncertainty of its delay against the other sensors, s; left out = 10 µs. Of a voltage:
-            against all sensors together; left out = 100 µs.
+        phase_std_deg: standard uncertainty of a constant phase, degrees; left out = 0.2.
+        delay_std_s: standard uncertainty of its delay, s; left out = 10 µs; of a voltage against all sensors, 100 µs.
     """
 
     column: str | int
@@ -134,25 +129,24 @@ class SignalSection(_Section):
 
     Attributes:
         kind: what was done.
-        start: begin, s on the time axis of the file: that of its time column (negative before a trigger), else from
-            the first sample.
+        start: begin, s on the file's time axis (negative before a trigger).
         stop: end, s.
         level: amplitude that was asked for; in ``level_unit``.
-        level_unit: V, N, m, m/s or m/s^2; of rotations N*m, rad, rad/s or rad/s^2.
-        window: begin and end of the steady part of a phase_resonance or stepped_sine, s; of others the part to use.
-        locked: false = a level that did not lock; it has no window.
+        level_unit: V, N, m, m/s or m/s^2; N*m, rad, rad/s or rad/s^2.
+        window: begin and end of the steady part, s.
+        locked: false = a level that did not lock, without a window.
         reason: why it did not lock.
-        frequency_hz: excitation frequency; start frequency of a sweep; left out = found in the force.
-        periods: whole periods in the window; left out = as many as there are.
+        frequency_hz: excitation or start frequency; left out = from the force.
+        periods: whole periods in the window; left out = all.
         band_hz: random: lower and upper edge.
         rate_hz_s: sweep: Hz/s, sign = direction.
         frequency_end_hz: sweep: last frequency.
-        switch_off: ring_down: when the drive was switched off, s; left out = ``start``.
+        switch_off: ring_down: time of the switch-off, s; left out = ``start``.
         index: number of the level in the plan, from 0; left out = counted.
         lock_time: when the lock was confirmed, s.
         phase_error: rad, at the lock.
-        held: record, stepped_sine: what was given. response: the motion of the drive point was imposed, and the force
-            (or torque) is the answer. Left out = as motion and model tell.
+        held: record, stepped_sine: response = the motion of the drive point was imposed; left out = from motion and
+            model.
     """
 
     kind: SignalKind
@@ -187,30 +181,26 @@ class TableSection(_Section):
         kind: backbone (frequency_hz, amplitude, [damping_ratio, loss_factor or quality_factor], […_std]) or frf
             (frequency_hz, real and imag or magnitude and phase, [level], […_std]).
         file: left out = the sidecar's file.
-        columns: column of the file for each name, if it is called otherwise.
-        unit: of the amplitude (m, mm, m/s^2, g, … or m*sqrt(kg) for a modal amplitude) or of the frequency response:
-            per force (m/s^2/N), per acceleration of the base (m/s^2/(m/s^2), g/g, m/(m/s^2)) or per drive (m/s^2/V); of
-            a response alone (m/s) where ``level`` and ``level_unit`` say what was held. Left out = as the file says.
-        units: of other columns, if not Hz, 1, rad: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``; of
-            magnitudes in dB re 1 ``unit``, ``{magnitude: dB}``.
-        order: of a table over a speed of rotation (rpm): how many periods of the response make a turn. The frequency is
-            order × speed. Left out = 1, asked where a heading names another one.
+        columns: column of each name, if called otherwise.
+        unit: of the amplitude (m, g, m*sqrt(kg) …) or of the response per force (m/s^2/N), base acceleration (g/g) or
+            drive (m/s^2/V), or alone (m/s) with ``level`` and ``level_unit``; left out = as the file says.
+        units: of other columns: ``{frequency_hz: rad/s, damping_ratio: '%', phase: deg}``; ``{magnitude: dB}`` re 1
+            ``unit``.
+        order: periods of the response a turn, for tables over rpm; left out = 1, asked if a heading names another.
         point: point of the response.
         drive_point: point of the force.
-        level: of the whole table, if it has no such column. Of a frequency response: the amplitude (peak) that was held
-            while the frequency was stepped; left out for random excitation.
-        level_unit: unit of the level: of a force, a motion or a voltage (N, g, m/s^2, mm, V).
-        held: what had that amplitude: force, response, base or voltage; left out = by the unit of the level.
+        level: of the whole table; of a frequency response the held amplitude (peak).
+        level_unit: unit of the level (N, g, m/s^2, mm, V).
+        held: held quantity: force, response, base or voltage; left out = by the unit of the level.
         direction: up or down, the way the frequency was stepped.
         noise: relative standard uncertainty of every line, %.
-        per: column that every line is divided by, where the file holds response and force (or acceleration of the base)
-            side by side; ``unit`` is that of the quotient, or of the response if the column is in N.
-        scale: factor of the values before the unit applies; −1 for a sensor the other way round.
-        conjugate: whether the phase is that of the convention exp(−iωt), or a lag.
+        per: column that every line is divided by; ``unit`` is that of the quotient, or of the response if the column is
+            in N.
+        scale: factor before the unit applies; −1 for a reversed sensor.
+        conjugate: the phase is that of exp(−iωt), or a lag.
         phase_shift_deg: what is added to the phase, after ``conjugate``.
-        axis: x, y or z (rx, ry, rz), of a universal file with several directions at a point: the one that a point of
-            the model is.
-        turned: points of a universal file whose responses are turned (−1); left out = by its directions.
+        axis: x, y or z (rx, ry, rz) of a universal file with several directions at a point.
+        turned: points of a universal file whose responses are reversed; left out = by its directions.
         amplitudes: whether amplitudes and level are peak, rms or peak-to-peak values.
         ordinate: magnitude, of a universal file whose frequency responses are real numbers.
         name: for reports.
@@ -260,25 +250,24 @@ class Sidecar(_Section):
     """All of it.
 
     Attributes:
-        rig: what the data is a test of: name or path of a rig file, or any name.
-        file: the data, beside the sidecar.
+        rig: name or path of a rig file, or any name.
+        file: the data.
         sample_rate: Hz; left out if there is a time column.
-        time: the time column, if there is one that is not called time or t; of a bag the field that counts time.
-        time_unit: its unit; d = days, such as the numbers of spreadsheets and MATLAB, which count from the first row.
-        clock: what to believe where the file contradicts itself or this sidecar: sample_rate, header (step or rate in
-            the file, header stamps of a bag), column, or log (log times of a bag).
-        stretch: number from 1 of the stretch of a bag that paused or whose clock jumped; left out = all.
-        elements: what the elements of an array without names are in a bag: samples, one after the other, channels,
-            interleaved 2 (samples of two channels in turn), or bytes int16 (little-endian; bytes int16 big); left out =
-            as the file tells.
+        time: time column, if not called time or t; of a bag the field that counts time.
+        time_unit: its unit; d = days, as in spreadsheets and MATLAB.
+        clock: valid clock in a contradiction: sample_rate, header (of the file, or stamps of a bag), column, or log (of
+            a bag).
+        stretch: number from 1 of a stretch of a bag that paused or jumped; left out = all.
+        elements: meaning of unnamed array elements in a bag: samples, channels, interleaved 2, or bytes int16
+            (little-endian; bytes int16 big); left out = as the file says.
         channels: the columns to import.
         segments: what was done when, and tables of others.
         linear: linear.json with the linear modes.
         extraction: settings of the extraction.
         oscillator: table of the excitation's phase block by block.
         loop: table of the loop's state block by block.
-        levels: table of the levels as they were recorded; left out = made of the segments.
-        locks: table of the lock events as they were recorded; left out = made of the segments.
+        levels: table of recorded levels; left out = from the segments.
+        locks: table of recorded lock events; left out = from the segments.
         plan: what the run was asked for, as in run.json.
         exciter_points: points of several exciters, in the order of their voltages.
         first_sample: index of the first sample of the file.

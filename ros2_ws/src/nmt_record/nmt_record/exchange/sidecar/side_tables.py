@@ -30,7 +30,7 @@ class BlockRow:
         first_sample: index of its first sample.
         samples: number of samples.
         oscillator: phase of the excitation.
-        flags: topic -> flags of its block, as in ``nmt_msgs/SampleBlock``; 0 where there is no entry.
+        flags: topic -> flags of its block, as in ``nmt_msgs/SampleBlock``; 0 without an entry.
     """
 
     first_sample: int
@@ -63,7 +63,7 @@ def read_block_table(path: Path, first_sample: int, samples: int) -> list[BlockR
         samples: of the recording.
 
     Raises:
-        BenchError: other columns, a value that is no number, or blocks that overlap or leave the recording.
+        BenchError: other columns, a value that is not a number, or blocks that overlap or leave the recording.
     """
     head, lines = _read(path)
     flags = [name for name in head[len(_BLOCK_COLUMNS) :] if name.removeprefix(_FLAGS) in SAMPLE_TOPICS]
@@ -115,7 +115,7 @@ def read_records(path: Path, kind: type[Record]) -> list[Record]:
     """Read what :func:`write_records` wrote.
 
     Raises:
-        BenchError: other columns, a value that is no number, or one that no message holds.
+        BenchError: other columns, a value that is not a number, or one that no message holds.
     """
     head, lines = _read(path)
     types, words = get_type_hints(kind), _RECORDS[kind]

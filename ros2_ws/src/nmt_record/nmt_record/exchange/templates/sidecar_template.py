@@ -114,7 +114,7 @@ def _raised(refusal: BenchError) -> str:
 
 
 def _asking(text: str, sentence: str, name: str) -> str:
-    """The proposal with a question in the place of what the import refuses; empty where that is not a part of it.
+    """The proposal with a question at each refusal of the import; empty where that is not a part of it.
 
     The key that is asked is the one that the refusal names, else quantity, unit or columns of the entry.
     """
@@ -208,7 +208,7 @@ def _signal_lines(table: SourceTable, time: Sequence[int], columns: Sequence[int
     if not kept:
         guesses = {index: _Guess(point=1) for index in channels}
         kept = channels
-    if table.names[channels[0]].startswith("/"):  # messages have many fields that nobody fills
+    if table.names[channels[0]].startswith("/"):  # messages have many unused fields
         kept = [i for i in kept if np.nanmax(table.columns[i]) > np.nanmin(table.columns[i])] or kept
     kept = [i for i in kept if not any(_same(table.columns[i], table.columns[j]) for j in kept if j < i)]
     lines.append("channels:")

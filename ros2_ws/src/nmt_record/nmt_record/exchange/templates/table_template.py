@@ -28,12 +28,12 @@ from nmt_record.exchange.unit_table import (
 ASK = "'?'"
 
 _FREQUENCY = re.compile(r"(f|fr?eq(uency)?|frequenz)([ _]?(hz|khz))?|hz|hertz", re.I)
-# Also quantities of time data: they count only beside responses, or with a unit of frequency.
+# Also quantities of time data: they count only with responses, or with a unit of frequency.
 _TURNING = re.compile(r"omega|ω|w|(circular|angular)[ _]freq(uency)?|speed|rpm|drehzahl|f.*", re.I)
 FREQUENCY_UNITS = ("Hz", "kHz", "mHz", "rad/s", "rpm")
 _SPEED = re.compile(r"(rotation(al)?[ _])?(speed|rpm|drehzahl|revs?)([ _]?(rpm|mean|avg))?", re.I)
 _SUFFIX = r"([ _]?\(.*\))?"
-# In this order: a damping ratio is no magnitude.
+# In this order: a damping ratio is not a magnitude.
 _MEMBERS = {
     "damping_ratio": r"damp(ing)?([ _]?ratio)?([ _]?(percent|pct|%))?|zeta([ _]?(percent|pct|%))?|delta",
     "loss_factor": r"loss([ _]?factor)?|eta",
@@ -214,7 +214,7 @@ def _held_lines(table: SourceTable, frequencies: Sequence[int]) -> list[str]:
 
 
 def _ratio_lines(table: SourceTable, frequency: int, held: int, later: Sequence[int]) -> list[str]:
-    """A response beside what was held, as a vibration controller reports them; empty where the table is another one."""
+    """A response with the held quantity, as a vibration controller reports them; empty for another table."""
     if len(later) != 2 or not _is_phase(table, later[1]):
         return []
     response, phase = later

@@ -12,7 +12,7 @@ from nmt_record.exchange.source_table import Scaling, split_name
 from nmt_record.exchange.text.text_form import TextForm
 from nmt_record.exchange.unit_table import is_known_unit, plain_unit
 
-_STAMP = re.compile(r"\d[-./:]\d")  # a date or a time of day is no unit
+_STAMP = re.compile(r"\d[-./:]\d")  # a date or a time of day is not a unit
 _HEAD_NUMBER = r"(?:\s*[\[(]\s*(?P<before>[^\])]*)[\])])?[\s:=;,\"]*(?P<number>\d[\d.,]*(?:[eE][-+]?\d+)?)\s*[;,\"]?\s*"
 _HEAD_RATE = re.compile(rf"(?:sampl\w*[ _-]*(?:rate|freq\w*)|abtastrate|\bfs\b){_HEAD_NUMBER}(?P<after>[kM]?Hz)?", re.I)
 _HEAD_STEP = re.compile(
@@ -31,7 +31,7 @@ _PER_COUNT = re.compile(r"(.+?)\s*(?:/|per\s*)\s*(?:counts?|lsb|bits?|digits?)$"
 _COUNTS = re.compile(r"(?:counts?|lsb|bits?|digits?)$", re.I)
 # Powers of ten.
 _HEAD_UNITS = {"hz": 0, "khz": 3, "mhz": 6, "s": 0, "sec": 0, "ms": -3, "us": -6, "µs": -6, "ns": -9}
-# Without a unit, what is no likely rate or step in Hz or s is one in another unit.
+# Without a unit, what is not a likely rate or step in Hz or s is one in another unit.
 _LEAST_RATE, LARGEST_STEP = 200.0, 0.05
 _SCOPE_STEP = re.compile(r"(?:x?[ _-]?increment|t[ _-]?inc|delta[ _-]?[tx]|dt)$", re.I)
 _SCOPE_START = re.compile(r"(?:x?[ _-]?(?:start|origin)|t[ _-]?0|t[ _-]?start)$", re.I)
@@ -40,7 +40,7 @@ _NUMBERS_OF_ROWS = re.compile(r"(?:sequence|sample|index|point|no|nr|number|x|#)
 
 @dataclass
 class Heading:
-    """Names and units of the columns, and what stands beside them.
+    """Names and units of the columns, and what stands next to them.
 
     Attributes:
         names, units: of each column.

@@ -36,7 +36,7 @@ def decoded(data: bytes, name: str, notes: list[str]) -> str:
     """Text of a file, by its mark, in UTF-8 or Windows-1252.
 
     Raises:
-        BenchError: it is no text.
+        BenchError: it is not a text.
     """
     for mark, encoding in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"), (b"\xef\xbb\xbf", "utf-8-sig")):
         if data.startswith(mark):
@@ -113,7 +113,7 @@ def _is_comment(line: str) -> bool:
 
 @dataclass
 class _Rows:
-    """Lines of numbers, and what of them is no plain number."""
+    """Lines of numbers, and what of them is not a plain number."""
 
     lines: list[str]
     stamps: tuple[int, ...]

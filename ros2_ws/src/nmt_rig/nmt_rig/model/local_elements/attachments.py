@@ -287,7 +287,7 @@ class SlackSlider(Attachment):
 
     @property
     def resting_stiffness(self) -> float:
-        """k where there is no slack, N/m."""
+        """k without slack, N/m."""
         return 0.0 if self.slack else self.stiffness
 
 
@@ -338,7 +338,7 @@ class FractionalDamper(Attachment):
     high: float
 
     def ladder(self) -> tuple[Array, Array, float, float]:
-        """Rates p (1/s) and stiffness (N/m) of the Maxwell elements, spring (N/m) and damper (N s/m) beside them."""
+        """Rates p (1/s) and stiffness (N/m) of the Maxwell elements, spring (N/m) and damper (N s/m) next to them."""
         a = self.order
         h = _LADDER_STEP
         start = math.log(self.low) - _LADDER_MARGIN

@@ -118,7 +118,7 @@ class AmplitudeDamperSection(ElementSection):
 class PolynomialDamper(LocalElement):
     """g = (c0 + c2 w² + c4 w⁴) v; damping that depends on the displacement, c0 in N s/m, c2 in N s/m³, c4 in N s/m⁵.
 
-    With c0 < 0 < c2 that of the van der Pol equation; with c2 < 0 < c0, c4 a rest that is stable beside a limit cycle
+    With c0 < 0 < c2 that of the van der Pol equation; with c2 < 0 < c0, c4 a rest that is stable next to a limit cycle
     (subcritical Hopf bifurcation).
     """
 
@@ -140,7 +140,7 @@ class PolynomialDamperSection(ElementSection):
 
     Attributes:
         damping_ns_m: c₀; below zero the rest is unstable (van der Pol with c₂ above zero)
-        damping_ns_m3: c₂; below zero, with the others above, a limit cycle beside a stable rest
+        damping_ns_m3: c₂; below zero, with the others above, a limit cycle around a stable rest
         damping_ns_m5: c₄
     """
 

@@ -159,7 +159,7 @@ class WeakeningFriction(LocalElement):
 
 
 class WeakeningFrictionSection(ElementSection):
-    """g = μN tanh(v / v₀) e^(−(v/v_s)²): beside `tanh_friction`, dry friction that weakens with speed.
+    """g = μN tanh(v / v₀) e^(−(v/v_s)²): part of dry friction that weakens with speed, with `tanh_friction`.
 
     Attributes:
         slip_force_n: μN, by which the force falls
@@ -236,7 +236,7 @@ class StribeckBeltSection(ElementSection):
     decay_velocity_m_s: Positive
     belt_velocity_m_s: Positive
     element: ClassVar = StribeckBelt
-    without_effect: ClassVar = "a belt is part of a rig: nobody overlooks it"
+    without_effect: ClassVar = "a belt is part of a rig: no one overlooks it"
     without_law: ClassVar = "it feeds the motion: no strength that is not negative makes it"
 
 

@@ -37,7 +37,7 @@ class IwanSection(ElementSection):
         sliders: sliders that stand for the power law; one more where β > 0
         partition: what the sliders have in common: equal `stiffness`, or an equal `ratio` of slip displacements over
             four decades
-        remaining_stiffness_n_m: linear spring beside the sliders
+        remaining_stiffness_n_m: linear spring parallel to the sliders
     """
 
     kind: Literal["iwan"]

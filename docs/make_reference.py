@@ -622,7 +622,7 @@ def thresholds_table(theme: str) -> str:
         value = getattr(holder, name)
         text = ", ".join(f"{item:g}" for item in (value if isinstance(value, tuple) else (value,)))
         unit = field.metadata["unit"]
-        lines.append(f"* `{name}` = {text}{'' if unit == '1' else f' {unit}'}: {field.metadata['reason']}")
+        lines.append(f"* `{name}` {text}{'' if unit == '1' else f' {unit}'}: {field.metadata['reason']}")
     return "\n".join(lines)
 
 

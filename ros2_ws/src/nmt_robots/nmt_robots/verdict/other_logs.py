@@ -111,7 +111,7 @@ def diagnose_robot_by_logs(
     Args:
         model: MJCF or URDF file.
         real: logs or their sidecars.
-        progress: is told what is being done.
+        progress: gets a sentence on each step.
         alike: table of joints that are meant to be alike; the logs are its repeats.
 
     Raises:

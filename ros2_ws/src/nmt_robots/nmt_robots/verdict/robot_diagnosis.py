@@ -56,7 +56,7 @@ from nmt_robots.verdict.transmission_verdict import joint_with_transmission, ver
 
 Progress = Callable[[str], None]
 _POSES = 200
-"""Of a log, in which contacts are looked for."""
+"""Of a log, in which contacts are searched for."""
 
 
 _WITHIN = 2.0
@@ -93,7 +93,7 @@ class OtherLog:
     Attributes:
         source: file.
         terms: that differ from the model by one of the logs.
-        left: by joint: rms of the torque, of what the model as it is, and of what the first log's terms leave of it,
+        left: by joint: rms of the torque, the residual of the model as it is, and of the first log's terms,
             each about its mean, N·m.
         joints: the answer by this log alone.
         model: file of a model of its own; empty = that of the first log.
@@ -150,7 +150,7 @@ class RobotDiagnosis:
         next: what to move next.
         others: further logs that test the answer.
         replay: the log through the model as given and as changed; None where it was not asked for.
-        group: joints that are meant to be alike; None where nobody said which are.
+        group: joints that are meant to be alike; None = not stated.
         of_file: facts of the model's file, known before the fit.
         bodies: what all joints together say of the bodies; None where that was not asked.
         as_given: log and motion before what differs of the bodies was put in.
@@ -237,7 +237,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     Args:
         model: MJCF or URDF file.
         real: a log, or its sidecar.
-        progress: is told what is being done.
+        progress: gets a sentence on each step.
 
     Raises:
         BenchError: the model or the log cannot be used; the sentence says what is needed.
@@ -347,7 +347,7 @@ def contact_findings(robot: RobotModel, log: JointLog) -> list[Finding]:
 
 
 def no_claims_because(found: Sequence[Finding]) -> str:
-    """Why no joint's cause can be claimed beside what was found on the log; empty where that is not so."""
+    """Why no joint's cause can be claimed next to what was found on the log; empty where that is not so."""
     for finding in found:
         if finding.fault and finding.key in {"order", "joint_sign", "gravity_sign"}:
             return "columns are in another order or have another sign"

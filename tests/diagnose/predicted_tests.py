@@ -9,8 +9,8 @@ import numpy as np
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import LockedLevel
 from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.measurement import LockedLevel
 from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_rig.rig import Rig, validate_rig

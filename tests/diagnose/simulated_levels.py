@@ -10,9 +10,8 @@ from independent.modal_simulator import Element, Simulator
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import HeldLevels, LockedLevel
 from nmt_diagnose.measurements.locked_windows import LockedWindows
-from nmt_diagnose.measurements.measurement import Observations, RowTable
+from nmt_diagnose.measurements.measurement import HeldLevels, LockedLevel, Observations, RowTable
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Place
 from nmt_rig.rig import Rig, validate_rig

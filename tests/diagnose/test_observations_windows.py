@@ -17,8 +17,7 @@ from nmt_core.messages.blocks import OscillatorPhase, Quantity, SampleBlock
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_window import analyse_window
-from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows import LockedWindows, analyse_window
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay

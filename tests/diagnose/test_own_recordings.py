@@ -16,8 +16,7 @@ from nmt_core.errors import BenchError
 from nmt_core.messages.driven_test import DrivenTest
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.coverage import covers
-from nmt_diagnose.measurements.locked_window import drive_terms
-from nmt_diagnose.measurements.locked_windows import LockedWindows
+from nmt_diagnose.measurements.locked_windows import LockedWindows, drive_terms
 from nmt_diagnose.measurements.recorded_decay import close_mode
 from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.model_view import ModelView

@@ -6,9 +6,8 @@ from scipy.stats import kstest
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import LockedLevel
 from nmt_diagnose.measurements.locked_windows import LockedWindows
-from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.measurement import LockedLevel, Observations
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.say.residual_map import per_observable, residual_map
 from nmt_diagnose.say.residual_tests import ResidualTest, holm, residual_tests

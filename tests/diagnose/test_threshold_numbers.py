@@ -17,8 +17,8 @@ from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.chain.chain_columns import distorted
 from nmt_diagnose.effects.calibration import mode_factors
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import LockedLevel
 from nmt_diagnose.measurements.locked_reading import phase_lean
+from nmt_diagnose.measurements.measurement import LockedLevel
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.plausibility import check_frequency, out_of_scale
 from nmt_diagnose.observations.noise.settling import RATES, settling

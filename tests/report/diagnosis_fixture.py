@@ -23,9 +23,8 @@ from nmt_diagnose.ledger.diagnosis import (
 from nmt_diagnose.ledger.gap import rms
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record import DrivenRecord
-from nmt_diagnose.measurements.held_levels import LockedLevel
 from nmt_diagnose.measurements.locked_windows import LockedWindows
-from nmt_diagnose.measurements.measurement import Observations, RowTable, joined
+from nmt_diagnose.measurements.measurement import LockedLevel, Observations, RowTable, joined
 from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.measurements.stepped_responses import SteppedResponses

@@ -23,9 +23,9 @@ from nmt_core.vocabulary import MOTIONS, ControlKind, TestKind
 from nmt_diagnose.coverage import covers
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import LockedLevel
 from nmt_diagnose.measurements.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import (
+    LockedLevel,
     LockedLevels,
     Measurement,
     Observations,

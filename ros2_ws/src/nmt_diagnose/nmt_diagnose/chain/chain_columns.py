@@ -34,8 +34,8 @@ from nmt_diagnose.chain.modes_left_out import ModesLeftOut
 from nmt_diagnose.chain.shape_errors import ShapeErrors
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.location import LocationKind
-from nmt_diagnose.measurements.held_levels import LockedLevel
 from nmt_diagnose.measurements.measurement import (
+    LockedLevel,
     Measurement,
     Observations,
     holds_amplitude,

@@ -12,8 +12,7 @@ import numpy as np
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import LockedLevel
-from nmt_diagnose.measurements.measurement import Measurement, Observations, with_levels
+from nmt_diagnose.measurements.measurement import LockedLevel, Measurement, Observations, with_levels
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import RIGID, ModelView
 from nmt_diagnose.observations.observables import FUNDAMENTAL, HARMONICS, Part

@@ -20,7 +20,7 @@ import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_diagnose.law.modal_frame import ORDERS, ModalFrame
-from nmt_diagnose.measurements.held_levels import HeldLevels
+from nmt_diagnose.measurements.measurement import HeldLevels
 from nmt_diagnose.thresholds import THRESHOLDS
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.measurements.held_levels import HeldLevels
+from nmt_diagnose.measurements.measurement import HeldLevels
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.aft import LocalForces
 from nmt_rig.model.fourier_basis import FourierBasis

@@ -19,8 +19,7 @@ from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.record_check import RecordCheck
 from nmt_diagnose.law.terms import Term, sampled
-from nmt_diagnose.measurements.held_levels import HeldLevels
-from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.measurements.measurement import HeldLevels, Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 

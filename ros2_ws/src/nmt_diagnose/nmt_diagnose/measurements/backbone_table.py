@@ -17,12 +17,13 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import HeldLevels, LockedLevel
 from nmt_diagnose.measurements.locked_prediction import PeriodicLevels
 from nmt_diagnose.measurements.measurement import (
     CurveAxis,
     Driven,
+    HeldLevels,
     LevelSeries,
+    LockedLevel,
     LockedLevels,
     Observations,
     RowTable,

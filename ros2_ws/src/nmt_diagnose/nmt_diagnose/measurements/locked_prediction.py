@@ -15,8 +15,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import PURE_TONE, Terms
-from nmt_diagnose.measurements.measurement import LockedLevels
+from nmt_diagnose.measurements.measurement import PURE_TONE, LockedLevels, Terms
 from nmt_diagnose.observations.observables import OF_THE_CHANNEL, Part, Rows
 from nmt_diagnose.prediction.converter import recorded_harmonics
 from nmt_diagnose.prediction.influence import Source, SourceColumn, source_vectors, with_sources

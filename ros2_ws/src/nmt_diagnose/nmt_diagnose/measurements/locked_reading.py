@@ -13,17 +13,16 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, VELOCITY_LEAD, TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import LockedLevel
-from nmt_diagnose.measurements.locked_window import (
+from nmt_diagnose.measurements.locked_windows import (
     SURE_DEVIATIONS,
     LockedWindow,
+    LockedWindows,
     analyse_window,
     driven_as_recorded,
     force_framed,
     without_hold,
 )
-from nmt_diagnose.measurements.locked_windows import LockedWindows
-from nmt_diagnose.measurements.measurement import Observations, RowTable, empty, locked_levels
+from nmt_diagnose.measurements.measurement import LockedLevel, Observations, RowTable, empty, locked_levels
 from nmt_diagnose.observations.bag_windows import BagWindows, Window
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView

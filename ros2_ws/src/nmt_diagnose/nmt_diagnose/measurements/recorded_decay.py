@@ -20,11 +20,11 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.measurements.backbone_table import levels_over_amplitude
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import HeldLevels
 from nmt_diagnose.measurements.locked_reading import add_limit, believed_limits
 from nmt_diagnose.measurements.measurement import (
     CurveAxis,
     Driven,
+    HeldLevels,
     LevelSeries,
     Observations,
     RowTable,

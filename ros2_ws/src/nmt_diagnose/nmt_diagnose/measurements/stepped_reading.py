@@ -18,7 +18,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.locked_window import LockedWindow, analyse_window
+from nmt_diagnose.measurements.locked_windows import LockedWindow, analyse_window
 from nmt_diagnose.measurements.measurement import Observations, RowTable, empty, joined
 from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.bag_windows import BagWindows, Window

@@ -15,8 +15,7 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.text.number_words import significant
 from nmt_core.vocabulary import MOTIONS
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.held_levels import HeldLevels
-from nmt_diagnose.measurements.measurement import Measurement, Observations, ResponseLines
+from nmt_diagnose.measurements.measurement import HeldLevels, Measurement, Observations, ResponseLines
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.driven_lines import solve_lines

@@ -10,10 +10,9 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import with_element
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.driven_record import DrivenRecord
-from nmt_diagnose.measurements.held_levels import LockedLevel
 from nmt_diagnose.measurements.imposed_motion import ImposedMotion
 from nmt_diagnose.measurements.locked_windows import LockedWindows
-from nmt_diagnose.measurements.measurement import Measurement
+from nmt_diagnose.measurements.measurement import LockedLevel, Measurement
 from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.measurements.stepped_responses import SteppedResponses

@@ -91,6 +91,15 @@ def test_a_law_is_read_with_its_strengths(tmp_path: Path, words: str) -> None:
         np.testing.assert_allclose(loop.measured, loop.law, atol=0.15 * np.ptp(missing))
 
 
+def test_noise_beyond_the_stated_one_refuses_no_law(tmp_path: Path) -> None:
+    """Half of the misfit is white noise."""
+    missing = LAWS["dry friction"][0]
+    reading = reading_of(tmp_path, missing, noise=float(np.std(missing)))
+    assert reading.after > 0.5 * reading.before
+    assert reading.is_stated
+    assert [law.family for law in reading.laws] == ["dry friction"]
+
+
 BESIDE = {
     "dry friction and damping that grows with speed": (
         0.05 * np.tanh(V / 2e-3) + 8.0 * V * np.abs(V), {"friction": 0.05, "speed": 8.0}

@@ -109,8 +109,15 @@ class RecordSearch:
 
     def _scale(self, law: RecordLaw) -> float:
         """Standard deviation that a row counts with, over the stated one."""
+        return max(law.score, 1.0) / math.sqrt(self._independent(law))
+
+    def _independent(self, law: RecordLaw) -> float:
         left = law.fit.corrected - self.records.columns(_terms(law.blocks)) @ law.fit.coefficients
-        return max(law.score, 1.0) / math.sqrt(self.records.independent(left))
+        return self.records.independent(left)
+
+    def correlated(self, law: RecordLaw) -> float:
+        """Score of what neighbours leave alike: noise that no law explains leaves neighbours unlike."""
+        return law.score * math.sqrt(max(1.0 - self._independent(law), 0.0))
 
     def law(self, blocks: Sequence[Block]) -> RecordLaw:
         """Blocks with their fit."""

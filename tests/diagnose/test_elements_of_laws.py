@@ -122,7 +122,6 @@ NOT_DRIVEN = {
     "weakening friction 0": "8 %: alone it feeds what differs, 0.1 % of the force is 0.9 % of the motion",
 }
 NOT_READ = {
-    "weakening bristle 0": "two with reaches on either side take its place: its limit falls within a sample or two",
     "power 1": "the gains of motion and force take 13 % of the inertia, and the spring makes up for it",
 }
 

@@ -207,7 +207,7 @@ def test_the_rig_of_a_sidecar(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     done(["import", write(tmp_path / "in", sidecar(rig="their rig")), "--out", tmp_path / "2"])
     assert "There is no rig file 'their rig'" in capsys.readouterr().out
     path = write(tmp_path / "in", sidecar(rig="rigs/mine.yaml"))
-    assert "rig file rigs/mine.yaml, which is not beside it" in refused(
+    assert "rig file rigs/mine.yaml, which is not next to it" in refused(
         ["import", path, "--out", tmp_path / "3"], capsys
     )
     assert not (tmp_path / "3").exists()

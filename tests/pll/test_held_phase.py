@@ -72,7 +72,7 @@ def test_paper_loop_holds_the_phase_it_is_told(offset, latency):
 
 
 def test_the_paper_loop_takes_both_settings_from_the_shared_parameters():
-    settings = PaperSettings().beside(LoopSettings(phase_offset_rad=-0.2, loop_latency_s=1e-3))
+    settings = PaperSettings().combined_with(LoopSettings(phase_offset_rad=-0.2, loop_latency_s=1e-3))
     assert settings.held_lead(100.0) == pytest.approx(-0.1)
     with pytest.raises(BenchError, match="'loop_latency_s' of the paper's loop must be finite"):
         PaperSettings(loop_latency_s=math.inf)

@@ -149,7 +149,7 @@ def test_parameters_and_settings_name_the_same_things():
     values = {parameter.name: parameter.default for parameter in parameters_of(PllSettings)}
     assert settings_of(PllSettings, values, "pll") == PllSettings()
     given = settings_of(PllSettings, {"paper_gain": 94.2, "force_floor": 0.5, "cutoff": 3.0}, "pll")
-    shared = given.paper_settings.beside(given.loop_settings)
+    shared = given.paper_settings.combined_with(given.loop_settings)
     assert (shared.gain, shared.force_floor) == (94.2, 0.5)
     with pytest.raises(BenchError, match="'gain'"):
         PaperSettings(gain=0.0)

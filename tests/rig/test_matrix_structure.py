@@ -247,7 +247,7 @@ def test_free_structures_are_accepted_and_rounding_is_forgiven(kind):
         ("file: other.npz, {points}", "it has none of M, K, C; it has stuff"),
         ("file: beam.npz, points_at: [{{point: 2, row: 99}}], modes: 2", "names row 99, but the rows are 0 to 13"),
         ("file: beam.npz, points_at: [{{point: 2, row: 99}}]", "names row 99, but the rows are 0 to 13"),
-        ("file: beam.npz, {points}, modes: 99", "7 modes are left beside the points, 99 are asked for"),
+        ("file: beam.npz, {points}, modes: 99", "7 modes are left besides the points, 99 are asked for"),
         ("file: beam.npz, {points}, damping_ratios: [0.1]", "damping_ratios too; remove one"),
         ("file: large.npz, points_at: [{{point: 2, row: 1}}]", "100 degrees of freedom, and 60 is the limit"),
         ("mass_kg: [[1, 2], [3]], stiffness_n_m: [[1, 0], [0, 1]], {points}", "rows of numbers of equal length"),
@@ -302,7 +302,7 @@ def test_rows_without_mass_follow_in_a_reduction(form):
         finite_frequencies(plain.mass, plain.stiffness, 7),
         rtol=1e-7,
     )
-    with pytest.raises(ValueError, match="modes are left beside the points"):
+    with pytest.raises(ValueError, match="modes are left besides the points"):
         craig_bampton(frame, [4, 7], 7)
 
 

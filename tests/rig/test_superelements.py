@@ -197,7 +197,7 @@ def test_a_superelement_that_nastran_wrote_is_read_by_its_text_beside_it():
     assert figures.directions == "x, y, z, rx, ry and rz"
     assert figures.frequencies_hz[:6] == [0.0] * 6
     assert figures.frequencies_hz[6] > 1.0
-    with pytest.raises(BenchError, match=r"outboard\.op4 beside it may have them"):
+    with pytest.raises(BenchError, match=r"outboard\.op4 next to it may have them"):
         model_figures({"file": folder / "outboard.pch"}, "m-kg-N")
 
 
@@ -393,7 +393,7 @@ def test_the_file_with_the_matrices_is_named_beside_their_cards(tmp_path):
     """Of the files that Nastran writes together a newcomer takes the text."""
     (tmp_path / "model.pch").write_text(punched_names(cantilever()[1]))
     (tmp_path / "model.op4").write_bytes(b"")
-    with pytest.raises(BadFileError, match=r"no square matrix; model\.op4 beside it may have them"):
+    with pytest.raises(BadFileError, match=r"no square matrix; model\.op4 next to it may have them"):
         read_model({"file": tmp_path / "model.pch"})
 
 

@@ -151,12 +151,12 @@ class RigOfImport:
         return self._measured(linear, sidecar)
 
     def _find(self, name: str) -> Path | None:
-        beside = self._folder / name
-        if beside.is_file():
-            return beside
+        rig_file = self._folder / name
+        if rig_file.is_file():
+            return rig_file
         if "/" in name or name.endswith((".yaml", ".yml")):
             raise BenchError(
-                f"The sidecar names the rig file {name}, which is not beside it ({beside}); correct 'rig'."
+                f"The sidecar names the rig file {name}, which is not next to it ({rig_file}); correct 'rig'."
             )
         try:
             return find_rig(name)

@@ -160,7 +160,7 @@ class LoopCore:
             drive_point = linear.drive_point
             self._exciters = max(self._exciters, len(linear.exciter_points))
             if self.settings.loop == "paper":
-                paper = self.settings.paper_settings.beside(settings)
+                paper = self.settings.paper_settings.combined_with(settings)
                 loops.append(PaperLoop(linear, paper, self.sample_rate, self.block_samples))
             elif len(linear.exciter_points) > 1:
                 loops.append(PhaseLockedLoop(linear, settings, self.sample_rate, self.block_samples))

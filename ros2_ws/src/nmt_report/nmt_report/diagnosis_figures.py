@@ -217,9 +217,9 @@ def course_figure(
     line = matplotlib.lines.Line2D
     for test, look in zip(tests, looks, strict=False):
         handles[test] = line([], [], color=look.ink, linewidth=2.4)
-    beside = math.ceil(len(handles) * width / max(names, width))
+    per_row = math.ceil(len(handles) * width / max(names, width))
     figure.legend(
-        list(handles.values()), list(handles), loc="upper right", ncols=beside, bbox_to_anchor=(1.0, 1.0),
+        list(handles.values()), list(handles), loc="upper right", ncols=per_row, bbox_to_anchor=(1.0, 1.0),
         handlelength=2.6, columnspacing=1.6,
     )  # fmt: skip
     return ReportFigure(name, title, caption, svg_text(figure, name, title), wide=columns > 1)

@@ -53,7 +53,7 @@ def _cells(point: ModalPoint) -> list[list[object]]:
     for number, at in enumerate(point.exciter_points):
         fundamental = forces[number, 1]
         angle = float(np.angle(fundamental * velocities[number].conj()))
-        beside = float(np.linalg.norm(forces[number, 2:]) / abs(fundamental))
+        harmonic_share = float(np.linalg.norm(forces[number, 2:]) / abs(fundamental))
         cells.append(
             [
                 point.level_index + 1,
@@ -61,7 +61,7 @@ def _cells(point: ModalPoint) -> list[list[object]]:
                 significant(abs(fundamental)),
                 plain(abs(fundamental) / abs(forces[0, 1]), 4),
                 plain(math.degrees(angle), 2),
-                plain(100.0 * beside, 3),
+                plain(100.0 * harmonic_share, 3),
                 plain(100.0 * float(powers[number] / powers.sum()), 2),
             ]
         )

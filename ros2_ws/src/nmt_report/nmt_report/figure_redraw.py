@@ -66,8 +66,8 @@ def _redrawn(figure: Mapping[str, Any], width_mm: float, letters_pt: float) -> F
     with figure_style(), matplotlib.rc_context(_letters(letters)):
         growth = letters / scale
         in_grid = any(panel["cells"] for panel in figure["panels"])
-        beside = [_place_beside(panel, growth) for panel in figure["panels"] if in_grid and _is_beside(panel)]
-        edge = min((place[0] - 0.02 for place in beside), default=1.0)
+        narrow = [_narrow_place(panel, growth) for panel in figure["panels"] if in_grid and _is_narrow(panel)]
+        edge = min((place[0] - 0.02 for place in narrow), default=1.0)
         layout = ConstrainedLayoutEngine(w_pad=0.02, h_pad=0.02, rect=(0.0, 0.0, edge, 1.0))
         page = Figure(figsize=(width, height), layout=layout if in_grid else None)
         grids: dict[Any, Any] = {}
@@ -78,7 +78,7 @@ def _redrawn(figure: Mapping[str, Any], width_mm: float, letters_pt: float) -> F
             elif panel["cells"]:
                 axes = page.add_subplot(_cell_of(page, panel["cells"], grids))
             else:
-                axes = page.add_axes(_place_beside(panel, growth) if in_grid else panel["place"])
+                axes = page.add_axes(_narrow_place(panel, growth) if in_grid else panel["place"])
             drawn.append(axes)
             _draw(axes, panel, letters, growth)
         for legend in figure["legends"]:
@@ -154,12 +154,12 @@ def _fit(page: Figure, layout: ConstrainedLayoutEngine, right: float) -> None:
     page.set_layout_engine("none")
 
 
-def _is_beside(panel: Mapping[str, Any]) -> bool:
+def _is_narrow(panel: Mapping[str, Any]) -> bool:
     """Whether a panel stands outside the grid, as a colour scale does."""
     return not panel["cells"] and panel["twin_of"] is None
 
 
-def _place_beside(panel: Mapping[str, Any], growth: float) -> tuple[float, float, float, float]:
+def _narrow_place(panel: Mapping[str, Any], growth: float) -> tuple[float, float, float, float]:
     """Place of a colour scale: its letters take a larger share of a smaller figure."""
     left, bottom, width, height = panel["place"]
     return max(0.5, 1.0 - (1.0 - left) * max(1.0, growth)), bottom, width, min(height, 0.92 - bottom)
@@ -206,8 +206,8 @@ def _draw(axes: Axes, panel: Mapping[str, Any], letters: float, growth: float) -
         _set_axis(axes, name, panel[name])
     for side, spine in axes.spines.items():
         spine.set_visible(side in panel["spines"])
-    beside = _is_beside(panel)
-    axes.set_title(panel["title"], loc="center" if beside else "left", fontweight="normal" if beside else "bold")
+    narrow = _is_narrow(panel)
+    axes.set_title(panel["title"], loc="center" if narrow else "left", fontweight="normal" if narrow else "bold")
     for second in panel["second_axes"]:
         factor = float(second["factor"])
         functions = partial(operator.mul, factor), partial(operator.mul, 1.0 / factor)

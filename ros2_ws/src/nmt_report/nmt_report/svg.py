@@ -163,8 +163,8 @@ def _columns(figure: Figure, name: str) -> str:
         left, right = axes.get_position().x0, axes.get_position().x1
         if not axes.get_visible():
             continue
-        beside = right - left < _SCALE_WIDTH or (columns and left < columns[-1][0])
-        if columns and beside:
+        is_narrow = right - left < _SCALE_WIDTH or (columns and left < columns[-1][0])
+        if columns and is_narrow:
             columns[-1] = max(columns[-1][0], right), [*columns[-1][1], axes]
         else:
             columns.append((right, [axes]))

@@ -120,8 +120,8 @@ def _with_sisters(path: Path, part: ModelPart) -> list[ModelPart]:
         or path.suffix.lower() not in (*_LISTS, *_TEXTS)
     ):
         return [part]
-    beside = {name: sister(path, quantity, name) for name in QUANTITIES if name != quantity}
-    return [part, *(read_part(found, name) for name, found in beside.items() if found is not None)]
+    sisters = {name: sister(path, quantity, name) for name in QUANTITIES if name != quantity}
+    return [part, *(read_part(found, name) for name, found in sisters.items() if found is not None)]
 
 
 def read_matrices(path: Path) -> dict[str, Any]:

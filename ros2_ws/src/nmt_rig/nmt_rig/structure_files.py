@@ -290,7 +290,7 @@ def _reduced(
     massless = int(matrices.massless().size)
     written: dict[str, Any] = {}
     if structure.get("regions") and modes is None and structure.get("mass_kg") is None:
-        why = "structure.regions need structure.modes, the number of modes to keep beside the points"
+        why = "structure.regions need structure.modes, the number of modes to keep besides the points"
         raise KeyOfRigError(("structure", "regions"), why)
     if modes is not None:
         if not isinstance(modes, int) or isinstance(modes, bool):
@@ -316,7 +316,7 @@ def _reduced(
     ):
         raise ValueError(
             f"the structure has {matrices.size} degrees of freedom, and {LARGEST} is the limit; reduce it with "
-            "structure.modes, the number of modes to keep beside the points"
+            "structure.modes, the number of modes to keep besides the points"
         )
     else:
         matrices, left = condensed(matrices, kept)

@@ -17,7 +17,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_ARRAYS, open_regular
 from nmt_rig.file_errors import BadFileError
 from nmt_rig.named_rows import ModelPart, label, mirrored
-from nmt_rig.superelement_texts import beside, matrix_names
+from nmt_rig.superelement_texts import matrix_names, names_of_neighbour
 
 # What the packages raise on files that are cut off or of another kind.
 _DAMAGED = (
@@ -100,7 +100,7 @@ def read_op4(path: Path) -> ModelPart:
         chosen, claimed = matrix_names([name for name, _ in square]), dict(square)
         _claims({name: (int(claimed[name][0]), int(claimed[name][1])) for name in chosen.values()}, size, dense=False)
         read = op4.load(str(path), list(chosen.values()), into="dct", justmatrix=True, sparse=True)
-    names_of_rows = beside(path)
+    names_of_rows = names_of_neighbour(path)
     matrices = {quantity: _checked(read[name], name) for quantity, name in chosen.items()}
     return ModelPart(matrices, names_of_rows.labels, nodes=names_of_rows.nodes)
 
@@ -123,7 +123,7 @@ def read_op2(path: Path) -> ModelPart:
         chosen = matrix_names(list(blocks))
         _claims({name: blocks[name].size for name in chosen.values()}, size, dense=True)
         read = file.rdop2mats(list(chosen.values()))
-    names_of_rows = beside(path)
+    names_of_rows = names_of_neighbour(path)
     matrices = {quantity: _checked(read[name], name) for quantity, name in chosen.items()}
     return ModelPart(matrices, names_of_rows.labels, nodes=names_of_rows.nodes)
 

@@ -276,7 +276,7 @@ def external_rows(text: str) -> Any:
     return label([pair[0] for pair in pairs], [pair[1] for pair in pairs])
 
 
-def beside(path: Path) -> ModelPart:
+def names_of_neighbour(path: Path) -> ModelPart:
     """Names of rows and nodes that Nastran punched next to an OP4 or OP2 of the same name; empty without them.
 
     Raises:
@@ -420,7 +420,7 @@ def read_dmig(path: Path) -> ModelPart:
         ) from error
     binaries = [path.with_suffix(ending) for ending in (".op4", ".op2")]
     if not found and (names := [binary.name for binary in binaries if binary.is_file()]):
-        raise BadFileError(f"it has no square matrix; {names[0]} beside it may have them")
+        raise BadFileError(f"it has no square matrix; {names[0]} next to it may have them")
     # 1 and 6 are square and symmetric forms; rectangular and complex ones are loads and gains.
     chosen = matrix_names([name for name in found if forms.get(name, 0) in (1, 6)])
     if any(not -(10**14) < row < 10**14 for name in chosen.values() for rows in found[name][:2] for row in rows):

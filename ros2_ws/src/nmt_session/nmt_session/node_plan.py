@@ -428,8 +428,8 @@ def _known_force(test: TestPlan, linear: LinearDescription | None) -> str:
     low, high = (rows[0][0], rows[-1][0]) if rows else (math.inf, math.inf)
     if not test.is_on_hardware:
         frequencies = np.geomspace(0.5 * linear.frequency_hz, 0.5 * float(test.rig.sample_rate_hz), _FORCE_ROWS)
-        beside = frequencies[(frequencies < low) | (frequencies > high)]
-        for frequency, value in zip(beside, force_per_volt(test.rig, beside.tolist()), strict=True):
+        outside = frequencies[(frequencies < low) | (frequencies > high)]
+        for frequency, value in zip(outside, force_per_volt(test.rig, outside.tolist()), strict=True):
             rows.append([float(f"{x:.6g}") for x in (frequency, value.real, value.imag)])
     return json.dumps(sorted(rows)) if rows else ""
 

@@ -53,7 +53,7 @@ def interpolated(time: FloatArray, values: FloatArray, places: FloatArray, step:
             if j != k:
                 weight = weight * (places - near[:, j]) / (near[:, k] - near[:, j])
         result += weight * values[first + k]
-    beside = np.minimum(places - time[right - 1], time[right] - places) > 1e-3 * typical
-    gap = beside & (time[right] - time[right - 1] > _GAP * typical)
+    off_stamp = np.minimum(places - time[right - 1], time[right] - places) > 1e-3 * typical
+    gap = off_stamp & (time[right] - time[right - 1] > _GAP * typical)
     outside = (places < time[0] - 0.5 * typical) | (places > time[-1] + 0.5 * typical)
     return np.where(gap | outside, np.nan, result)

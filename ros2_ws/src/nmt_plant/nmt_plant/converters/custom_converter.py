@@ -78,8 +78,8 @@ def find_rig_driver(section: CustomSection, rig: Rig) -> None:
         BenchError: no such module exists.
     """
     module = section.converter.partition(":")[0].split(".")[0]
-    beside = Path(section.folder)
-    if (beside / f"{module}.py").is_file() or (beside / module).is_dir():
+    module_folder = Path(section.folder)
+    if (module_folder / f"{module}.py").is_file() or (module_folder / module).is_dir():
         return
     if importlib.util.find_spec(module) is None:
         raise BenchError(

@@ -117,10 +117,10 @@ def fundamental_gain(
             f"Several exciters need their force per volt near {frequency_hz:.4g} Hz; give the linear description "
             "exciter_force_rows there, or run ./nmt linear."
         )
-    beside = both[known][np.argmin(np.abs(both[known] - HARMONICS.resonance_band_ratio * frequency_hz))]
+    off_resonance_hz = both[known][np.argmin(np.abs(both[known] - HARMONICS.resonance_band_ratio * frequency_hz))]
     rows = np.abs(gains[:, :, 1:] - ratios[:, None] * gains[:, :1, 1:]).sum(axis=2)
     size = (least / np.abs(both[known] - frequency_hz)[:, None] * rows[known]).max(axis=0)
-    diagonal = np.diagonal(force_per_volt(np.array([beside]))[0])
+    diagonal = np.diagonal(force_per_volt(np.array([off_resonance_hz]))[0])
     gain = np.asarray(size * diagonal / np.maximum(np.abs(diagonal), 1e-300), dtype=np.complex128)
     gain[0] = 1.0
     return gain

@@ -78,7 +78,7 @@ class PaperSettings:
             if getattr(self, name) <= 0:
                 raise BenchError(f"Setting '{name}' of the paper's loop must be positive.")
 
-    def beside(self, loop: LoopSettings) -> PaperSettings:
+    def combined_with(self, loop: LoopSettings) -> PaperSettings:
         """These settings with the floors, the ramp and the held phase of the adaptive loop, which both loops share."""
         return replace(self, **{name: getattr(loop, name) for name in _SHARED})
 

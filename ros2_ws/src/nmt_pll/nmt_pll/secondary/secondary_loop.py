@@ -175,9 +175,9 @@ class SecondaryResonanceLoop(LevelLoop):
         if not np.isfinite(coefficients).all():
             self.filter.reset()
             return math.nan, 0.0, 0.0, 0.0
-        held, resonant, beside = (complex(coefficients[row, n]) for row, n in ((0, nu), (1, k), (1, nu)))
+        held, resonant, forced = (complex(coefficients[row, n]) for row, n in ((0, nu), (1, k), (1, nu)))
         floors = self.settings.force_floor, self.settings.response_floor
-        share = abs(resonant) / abs(beside) if beside else 0.0
+        share = abs(resonant) / abs(forced) if forced else 0.0
         if releasing or abs(held) < floors[0] or abs(resonant) <= floors[1] or not abs(resonant):
             return math.nan, abs(held), abs(resonant), share
         self._turn = cmath.phase(held) + 2.0 * math.pi * (nu * self._base - phase.cycles - advance)

@@ -281,7 +281,7 @@ def craig_bampton(
     inner = np.setdiff1d(np.arange(n), own)
     heavy = inner.size - np.intersect1d(inner, matrices.massless()).size
     if not 0 <= modes <= heavy:
-        raise ValueError(f"{heavy} modes are left beside the points, {modes} are asked for")
+        raise ValueError(f"{heavy} modes are left besides the points, {modes} are asked for")
     stiffness, mass = (sparse.csr_matrix(matrix) for matrix in (matrices.stiffness, matrices.mass))
     k_ii, m_ii = stiffness[inner][:, inner], mass[inner][:, inner]
     basis = np.zeros((n, own.size + modes))

@@ -140,8 +140,8 @@ def _units_beside(columns: Mapping[str, FloatArray], texts: Mapping[str, str]) -
     for key in columns:
         parts = re.sub(r"(\.\d+)+$", "", key).split(".")
         struct = ".".join(parts[:-1])
-        beside = (f"{struct}.{name}" for name in ("quantity.label", "unit", "units", "Unit", "Units"))
-        unit = next((texts[name] for name in beside if struct and name in texts), "")
+        label_names = (f"{struct}.{name}" for name in ("quantity.label", "unit", "units", "Unit", "Units"))
+        unit = next((texts[name] for name in label_names if struct and name in texts), "")
         place = re.match(
             r".*:(\d{1,8}):[+-]?[XYZ]", texts.get(".".join([*parts[:-2], "function_record.first_id.name"]), "")
         )

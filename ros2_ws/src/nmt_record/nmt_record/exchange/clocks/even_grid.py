@@ -147,8 +147,8 @@ def sampled_at(grid: EvenGrid, values: FloatArray, places: FloatArray) -> FloatA
         return np.full(places.size, np.nan)
     result = interpolated(time, there[good], places, math.inf)
     right = np.clip(np.searchsorted(time, places), 1, time.size - 1)
-    beside = np.minimum(np.abs(places - time[right - 1]), np.abs(time[right] - places)) > 1e-3 * grid.step
-    hole = beside & (rows[right] - rows[right - 1] > 1)
+    off_grid = np.minimum(np.abs(places - time[right - 1]), np.abs(time[right] - places)) > 1e-3 * grid.step
+    hole = off_grid & (rows[right] - rows[right - 1] > 1)
     outside = (places < time[0] - 0.5 * grid.step) | (places > time[-1] + 0.5 * grid.step)
     return np.where(hole | outside, np.nan, result)
 

@@ -82,8 +82,8 @@ def _seconds_with_fractions(table: SourceTable) -> SourceTable:
         seconds_name = _SECONDS.match(_bare(name))
         if seconds_name is None or _FRACTION.match(_bare(name)):
             continue
-        for other, beside in enumerate(table.names):
-            found = _FRACTION.match(_bare(beside))
+        for other, other_name in enumerate(table.names):
+            found = _FRACTION.match(_bare(other_name))
             if found is None or found[1].lower() != seconds_name[1].lower():
                 continue
             digits = 9 if found[2] else 6 if found[3] else 3
@@ -94,7 +94,7 @@ def _seconds_with_fractions(table: SourceTable) -> SourceTable:
             stamps.append(index)
             parts.append(other)
             table.notes.append(
-                f"Columns {name} and {beside} of {table.file} are seconds and fractions of a stamp; together they "
+                f"Columns {name} and {other_name} of {table.file} are seconds and fractions of a stamp; together they "
                 "were read as the time, in seconds after the first whole one."
             )
             break

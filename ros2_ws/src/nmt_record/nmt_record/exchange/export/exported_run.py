@@ -158,9 +158,9 @@ def export_run(
     with_responses = form == "uff" and source.is_dir() and responses.is_file()
     bag = Bag.open(source) if not with_responses or (source / "bag").exists() else None
     linear = linear_text(bag) if bag is not None else ""
-    beside = source / "linear.json"
-    if not linear and source.is_dir() and beside.is_file():
-        linear = read_text(beside, "linear description")
+    linear_file = source / "linear.json"
+    if not linear and source.is_dir() and linear_file.is_file():
+        linear = read_text(linear_file, "linear description")
     files = [] if bag is None else _export_samples(bag, folder, form, ascii_uff, only, linear)
     if with_responses:
         drive_point = LinearDescription.from_json(linear).drive_point if linear else 0

@@ -125,7 +125,7 @@ class ImportedRun:
         """Length of the time data."""
         return int(self.channels[0].data.shape[0]) if self.channels else 0
 
-    def beside(self, name: str, place: str) -> Path:
+    def data_file(self, name: str, place: str) -> Path:
         """A file that the sidecar names, which becomes one of the sources.
 
         Raises:
@@ -186,13 +186,13 @@ def _read(
     if sidecar.linear is None:
         run.linear = describe(sidecar)
     else:
-        run.linear = _read_linear(run.beside(sidecar.linear, document.place(("linear",))))
+        run.linear = _read_linear(run.data_file(sidecar.linear, document.place(("linear",))))
     if sidecar.channels:
         _read_signals(run, document)
     for number, section in enumerate(sidecar.segments):
         if isinstance(section, TableSection):
             place = document.place(("segments", number))
-            file = run.beside(section.file or sidecar.file, place)
+            file = run.data_file(section.file or sidecar.file, place)
             tables = read_observables(section, file, place)
             for table in tables:
                 check_responses(section, table, place, shape_sign)
@@ -265,7 +265,7 @@ def _description(run: ImportedRun, rig: str, versions: dict[str, str]) -> dict[s
 
 def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     sidecar = run.sidecar
-    file = run.beside(sidecar.file, document.place(("file",)))
+    file = run.data_file(sidecar.file, document.place(("file",)))
     names = [channel.column for channel in sidecar.channels]
     if is_bag(file):
         table = read_bag(file, names, _choice(sidecar))
@@ -301,16 +301,16 @@ def _read_signals(run: ImportedRun, document: YamlDocument) -> None:
     run.notes += check_physics(run.channels, stretches, run.sample_rate, run.linear)
     run.notes += check_zeros(run.channels, [(s.first, s.stop) for s in stretches], places)
     if sidecar.oscillator is not None:
-        side = run.beside(sidecar.oscillator, document.place(("oscillator",)))
+        side = run.data_file(sidecar.oscillator, document.place(("oscillator",)))
         run.blocks = read_block_table(side, run.first_sample, run.samples)
     if sidecar.loop is not None:
-        run.loop = read_records(run.beside(sidecar.loop, document.place(("loop",))), LoopStatus)
+        run.loop = read_records(run.data_file(sidecar.loop, document.place(("loop",))), LoopStatus)
     if sidecar.levels is not None:
-        run.levels = read_records(run.beside(sidecar.levels, document.place(("levels",))), LevelCommand)
+        run.levels = read_records(run.data_file(sidecar.levels, document.place(("levels",))), LevelCommand)
     else:
         run.levels = [_level(run, segment) for segment in run.segments if segment.section.level is not None]
     if sidecar.locks is not None:
-        run.locks = read_records(run.beside(sidecar.locks, document.place(("locks",))), LockEvent)
+        run.locks = read_records(run.data_file(sidecar.locks, document.place(("locks",))), LockEvent)
     else:
         run.locks = [_lock(run, segment) for segment in run.segments if segment.window is not None]
 
@@ -343,7 +343,7 @@ def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretc
         inside = next((name for _, name, first, stop in stretches if first < sample + count and sample < stop), None)
         if inside is not None:
             raise BenchError(
-                f"In the window of {inside} {what}; take the doubled rows out, or choose a window beside them."
+                f"In the window of {inside} {what}; take the doubled rows out, or choose a window next to them."
             )
         run.notes.append(f"Outside of the windows {what}.")
     for section, name, first, stop in stretches:
@@ -356,7 +356,7 @@ def _check_continuity(run: ImportedRun, table: SourceTable, clock: Clock, stretc
             raise BenchError(
                 f"In the window of {name} the phase of the channels steps by {jump.phase:.3g} rad near "
                 f"{table.place(row_of(first + jump.sample))} ({jump.sigmas:.0f} times its noise), as if about "
-                f"{max(1, round(abs(jump.rows)))} rows were {what}; export the data again, or choose a window beside "
+                f"{max(1, round(abs(jump.rows)))} rows were {what}; export the data again, or choose a window next to "
                 "it."
             )
 

@@ -96,9 +96,9 @@ def _jumps(values: FloatArray, which: BoolArray, least: float) -> bool:
     """Whether the values next to all marked ones are far from them."""
     places = np.flatnonzero(which)
     for shift in (-1, 1):
-        beside = places + shift
-        beside = beside[(beside >= 0) & (beside < values.size)]
-        near = np.abs(values[beside] - values[beside - shift])[~which[beside]]
+        next_places = places + shift
+        next_places = next_places[(next_places >= 0) & (next_places < values.size)]
+        near = np.abs(values[next_places] - values[next_places - shift])[~which[next_places]]
         if (near < least).any():
             return False
     return True

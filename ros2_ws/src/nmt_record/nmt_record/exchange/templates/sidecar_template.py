@@ -71,7 +71,7 @@ def sidecar_templates(path: Path) -> tuple[str, ...]:
         BenchError: the file is not there, of another kind, or malformed.
     """
     head = [f"# A sidecar for {path.name}; check every line, above all what was guessed.", f"file: {path.name}"]
-    head.append("# rig: my_rig.yaml        # the rig file that it is a test of, beside this file")
+    head.append("# rig: my_rig.yaml        # the rig file of the specimen, next to this file")
     if is_bag(path):
         return tuple(_warned(text, path) for table in bag_tables(path) for text in _texts(table, list(head)))
     if kind_of(path) == "uff" and (responses := frequency_responses(path)):

@@ -93,11 +93,11 @@ def test_a_law_is_read_with_its_strengths(tmp_path: Path, words: str) -> None:
 
 def test_noise_beyond_the_stated_one_refuses_no_law(tmp_path: Path) -> None:
     """Half of the misfit is white noise."""
-    missing = LAWS["dry friction"][0]
+    missing = LAWS["hardening spring"][0]
     reading = reading_of(tmp_path, missing, noise=float(np.std(missing)))
     assert reading.after > 0.5 * reading.before
     assert reading.is_stated
-    assert [law.family for law in reading.laws] == ["dry friction"]
+    assert [law.family for law in reading.laws] == ["hardening spring"]
 
 
 BESIDE = {
@@ -208,6 +208,21 @@ def test_laws_that_one_narrow_sine_does_not_tell_apart_are_named_with_a_motion_t
     assert f"record a motion of {law.parted_by}. Check first that the specimen" in " ".join(
         law_sentences(reading, True)
     )
+
+
+def test_rows_that_lie_far_apart_separate_no_noise_from_a_misfit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = rig_of(tmp_path, TEXT)
+    bag = bag_of(tmp_path, RATE, {"displacement 1": X, "force 1": 4e5 * X**3}, record(TIME.size, held="response"), TEXT)
+    records = MovedRecords.of(rig, read_observations([bag], rig))
+    assert records is not None
+    search = RecordSearch(records)
+    law = search.law([Block("law", (Term("friction", 0.01),))])
+    share = law.score / search.null.score
+    assert search.remaining(law) == pytest.approx(share, rel=0.2)  # what it leaves is no noise
+    monkeypatch.setattr(MovedRecords, "independent", lambda *_: 1.0)
+    assert search.remaining(law) == share
 
 
 def test_a_motion_that_reaches_no_contact_parts_it_by_no_more_than_all_of_a_force(tmp_path: Path) -> None:

@@ -138,9 +138,9 @@ def reading_of(
         search.problem.predicted(records.columns([t for b in best.blocks for t in b.terms]), signed(best.blocks), top),
     )
     why = ""
-    stays = search.correlated(best) / max(search.correlated(search.null), 1e-300)
-    if stays > limits.told_score_ratio:
-        why = f"with it {100.0 * stays:.0f} % of the misfit beyond noise stay; half is asked for"
+    remaining = search.remaining(best)
+    if remaining > limits.told_score_ratio:
+        why = f"with it {100.0 * remaining:.0f} % of the misfit stay; half is asked for"
     elif pulled:
         why = f"it needs what chain and model are not ordinarily off by: {', '.join(pulled)}"
     elif above < 0.0:

@@ -28,6 +28,7 @@ _STEP = 1e-3  # of a parameter, for differences
 _LEAST_EXPONENT = 1.05  # of a damper: 1 is viscous, and elements have no less
 _THIN = 8  # of a family that are tried where places are compared
 _COMPARED = 12  # sets of families that may do nearly as well
+_SPARSE = 0.5  # independent share of rows of a law: beyond it they lie too far apart to tell it from white noise
 _TIGHTENED = 30  # rounds in which errors without a law come to be ordinary ones
 _WITHIN = 0.98
 
@@ -112,12 +113,18 @@ class RecordSearch:
         return max(law.score, 1.0) / math.sqrt(self._independent(law))
 
     def _independent(self, law: RecordLaw) -> float:
-        left = law.fit.corrected - self.records.columns(_terms(law.blocks)) @ law.fit.coefficients
-        return self.records.independent(left)
+        return self.records.independent(law.fit.corrected - self._made(law))
 
-    def correlated(self, law: RecordLaw) -> float:
-        """Score of what neighbours leave alike: noise that no law explains leaves neighbours unlike."""
-        return law.score * math.sqrt(max(1.0 - self._independent(law), 0.0))
+    def _made(self, law: RecordLaw) -> FloatArray:
+        """What a law adds to the rows, whitened."""
+        return np.asarray(self.records.columns(_terms(law.blocks)) @ law.fit.coefficients)
+
+    def remaining(self, law: RecordLaw) -> float:
+        """Share of the misfit that a law leaves, without white noise where rows lie close enough to show the law."""
+        share = law.score / self.null.score
+        if self.records.independent(self._made(law)) > _SPARSE:
+            return share
+        return share * math.sqrt(max(1.0 - self._independent(law), 0.0))
 
     def law(self, blocks: Sequence[Block]) -> RecordLaw:
         """Blocks with their fit."""

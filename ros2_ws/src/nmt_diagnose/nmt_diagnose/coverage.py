@@ -48,7 +48,7 @@ def refuse_unbalanced(model: Rig, tests: Sequence[Measurement]) -> None:
     """Refuse what is predicted as periodic where an element of the model is only stepped through records.
 
     Raises:
-        BenchError: a test is no record and the model has such an element.
+        BenchError: a test is not a record and the model has such an element.
     """
     kinds = [section.kind_name() for section in model.local_elements if section.without_harmonic_balance]
     others = [test for test in tests if test.record is None]

@@ -75,12 +75,10 @@ class DiagnosisOutcome:
         diagnosis: the result.
         observations: the real side, its uncertainties those that were learnt.
         initial_model: the model as given.
-        model: the model with its parameters re-fitted and the accepted effect added; the given one where there is no
-            gap.
+        model: the model with its parameters re-fitted and the accepted effect added; the given one without a gap.
         as_given, refitted, final: observables of the initial model, of the re-fitted one and of ``model``, (m,).
         detectable: computes ``Diagnosis.visible``, where that was put off.
-        other: the model that competed with ``model``: of the law and the explanation what is not written; None where
-            there is none.
+        other: the model that competed with ``model``, from the law or from the explanation; None without one.
     """
 
     diagnosis: Diagnosis
@@ -342,8 +340,8 @@ class Ahead:
     """What to measure next.
 
     Attributes:
-        tests: that would decide between what is left.
-        levels: of the plan that would tell more; None where they were not looked for.
+        tests: that would decide between the remaining explanations.
+        levels: of the plan that would add information; None where they were not computed.
         sensors: at other places.
     """
 
@@ -375,15 +373,15 @@ def _ahead(rig: Rig, judgement: Judgement, scaled: Observations, settings: Diagn
 
 @dataclass(frozen=True)
 class Answered:
-    """What is said of the gap, as numbers.
+    """What is reported of the gap, as numbers.
 
     Attributes:
         where: places.
         ranking: explanations.
         calibration: the model's own parameters.
         gap: before and after.
-        remainder: what is left; None where nothing is reported.
-        too_small: an effect that is there and does not matter; None where there is none.
+        remainder: the part of the gap that is not explained; None where nothing is reported.
+        too_small: an effect that acts and does not matter; None without one.
     """
 
     where: tuple[PlaceShare, ...]
@@ -397,7 +395,7 @@ class Answered:
 def _sentences(
     judgement: Judgement, answer: Answered, ahead: Ahead, observations: Observations, settings: DiagnosisSettings
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[PlaceShare, ...]]:
-    """Sentences of the answer, warnings, and the places that are told."""
+    """Sentences of the answer, warnings, and the places that are reported."""
     findings, verdict, leader, named = judgement.findings, judgement.verdict, judgement.leader, judgement.named
     members = named.members if named is not None else ()
     warnings = warned(verdict, judgement.best, answer.calibration, answer.gap, members)

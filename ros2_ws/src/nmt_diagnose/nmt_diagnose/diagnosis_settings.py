@@ -19,10 +19,10 @@ class DiagnosisSettings:
     Attributes:
         withheld: effects that are left out of the library.
         seed: of the bootstrap.
-        look_ahead: whether tests that would decide between what is left, and the weakest effects that would show, are
-            sought.
+        look_ahead: whether to compute the tests that would decide between the remaining explanations, and the weakest
+            effects that would show.
         put_off_detectable: leave the weakest effects that would show to ``DiagnosisOutcome.completed``: they take a
-            scan of all candidates, and are no part of the answer.
+            scan of all candidates, and the answer does not contain them.
         hold_out: names of tests (or of their bags) that no fit sees and the gap is judged by; empty = levels and whole
             tests in turn.
         jobs: processes that share the work; the result is the same for any number.

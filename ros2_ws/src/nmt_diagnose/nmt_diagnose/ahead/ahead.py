@@ -62,7 +62,7 @@ class Ahead:
         self._unshared = alone.shape[1]
 
     def over_sigma(self, values: FloatArray) -> FloatArray:
-        """Changes of the rows, (m, n), over σ; 0 where there is no solution."""
+        """Changes of the rows, (m, n), over σ; 0 where the model has no solution."""
         return np.asarray(np.nan_to_num(values / self.sigma[:, None], posinf=0.0, neginf=0.0))
 
     @cached_property

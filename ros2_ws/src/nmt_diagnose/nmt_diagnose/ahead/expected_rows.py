@@ -1,8 +1,8 @@
 """The rows that a test which has not been made would have, with uncertainties as they are in the tests at hand.
 
 A table has a function for every kind of test that the diagnosis takes; of the others a sentence says why they are not
-foretold. Nowhere foretold are rows of what may be wrong with a recording: lines of the mains, steps, limits and
-repeated samples of channels.
+predicted. Rows that show faults of a recording are never predicted: lines of the mains, steps, limits and repeated
+samples of channels.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ _LEVEL_S = 6.0
 _DECADES_OF_A_DECAY = 100.0
 """Largest over smallest amplitude of a decay that is reckoned with, where it lasts long enough."""
 _CURVE_REACH, _CURVE_GRID = 1.5, 4001
-"""Frequencies about that of the mode among which points of a response curve are looked for."""
+"""Range of frequencies about that of the mode, and their number, from which points of a response curve are taken."""
 _LOW_LEVEL_V = 0.05
 """Drive of a random test that is reckoned with where no level is known, V rms."""
 
@@ -188,9 +188,9 @@ def _locked(request: TestRequest, rig: Rig, at_hand: Observations) -> Observatio
 
 
 def _stepped(request: TestRequest, rig: Rig, at_hand: Observations) -> Observations:
-    """Windows at given frequencies: those near resonance are read as levels whose phase nobody controlled.
+    """Windows at given frequencies: those near resonance are read as levels without control of the phase.
 
-    How far each is from resonance is told by the linear model.
+    The linear model gives the distance of each from resonance.
     """
     count = len(request.levels)
     frequencies = np.array(request.frequencies_hz * (count if len(request.frequencies_hz) == 1 else 1))

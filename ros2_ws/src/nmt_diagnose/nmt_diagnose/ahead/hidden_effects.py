@@ -1,11 +1,11 @@
-"""What may act and is too weak for the recordings at hand, and how probable it is that further tests show it.
+"""Effects that may act and are too weak for the recordings at hand, and the probability that further tests show them.
 
-An effect that shows from a strength s on in the recordings at hand shows from s/ρ on with a further test beside them:
-ρ is by how much more standard deviations both together tell a unit of it from what parameters and measuring chain may
-do. Strengths of effects spread evenly over decades: of ln of their range, ln ρ is what the further test adds. That goes
-on until the share of effects is left that no test shows.
+An effect that the recordings at hand show from a strength s on shows from s/ρ on once a further test is added. ρ is the
+ratio of standard deviations, with and without that test, by which a unit of the effect differs from changes of
+parameters and measuring chain. The prior of a strength is uniform in its logarithm: a further test adds ln ρ of the ln
+of its range. That goes on until the share of effects remains that no test shows.
 
-What shows and is smaller than what matters has a law: what it does at the levels that are left follows from its fit.
+An effect that shows and is too small to matter has a fitted law, from which its size at the remaining levels follows.
 """
 
 from __future__ import annotations
@@ -59,16 +59,16 @@ class Hidden:
 
 
 class Growth:
-    """How probable it is that what shows and does not matter yet matters at levels that are left.
+    """Probability that an effect that shows and does not matter yet matters at the remaining levels.
 
-    What it changes there beside the model alone, which took its part of it in the recordings at hand, goes with its
-    strength. That has to be what matters, and to leave more than noise once the model has followed: both come from a
-    share 1/r of the fitted strength on.
+    Its change of the predictions there is proportional to its strength. It is the change from the model alone, which
+    took a part of the effect in the recordings at hand. The change has to matter, and has to leave more than noise once
+    the model is refitted: both hold from a share 1/r of the fitted strength on.
 
     Args:
         found: what shows, fitted to the recordings at hand.
         probability: that it acts.
-        left: observables of the tests that are left with expected uncertainties; values are not set.
+        left: observables of the remaining tests with expected uncertainties; values are not set.
         ahead: the model alone in these tests.
         wanted: what matters, by kind.
     """
@@ -159,12 +159,12 @@ def hidden_effects(
 
 
 def chances(with_next: FloatArray, with_left: FloatArray) -> Hidden:
-    """Probabilities of what is hidden.
+    """Probabilities of hidden effects.
 
     Args:
-        with_next: by how much weaker each effect may be to show with the next test beside the recordings at hand, ρ,
-            (effects,).
-        with_left: the same with all tests that are left.
+        with_next: factor by which each effect may be weaker and still show once the next test is added to the
+            recordings at hand, ρ, (effects,).
+        with_left: the same with all remaining tests.
     """
     comparison = THRESHOLDS.comparison
     acts = 1.0 - comparison.prior_none

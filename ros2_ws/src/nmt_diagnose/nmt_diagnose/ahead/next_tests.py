@@ -130,10 +130,10 @@ def next_levels(
     gap: bool,
     command: CommandOf = lambda _: "",
 ) -> NextTest | None:
-    """The next levels of a plan and what is expected of them, however little; None above its highest level.
+    """The next levels of a plan and their expected benefit, however little; None above its highest level.
 
-    Where there is a gap they are to tell apart what is left of explanations. Where there is none they are to show what
-    these recordings are too weak to show.
+    With a gap they are to separate the remaining explanations. Without one they are to show what these recordings are
+    too weak to show.
 
     Args:
         rig, observations, null, comparison, command: as for `next_tests`.
@@ -226,7 +226,7 @@ def other_sensors(
     plan: Sequence[float],
     chain_names: Sequence[str],
 ) -> tuple[NextTest, ...]:
-    """Sensors that would tell apart what is left in a run of the same levels, the best first; none where none would.
+    """Sensors that would separate the remaining explanations in a run of the same levels, the best first; may be none.
 
     One more at each point, and one that an explanation names at another point that has none: a mass goes with it.
 

@@ -48,7 +48,7 @@ class Proposal:
 
 
 class Proposals:
-    """What can be asked for beside the tests at hand: of the rig that was recorded, as it was recorded.
+    """Tests that can be proposed in addition to those at hand: of the recorded rig, under its recorded conditions.
 
     The model is not what is to be measured.
 

@@ -388,7 +388,7 @@ class ChainBuilder:
             moved = Forward(tests.tests, tests.rows, finer).predict(self.rig).values
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
             return {}
-        # Near a sharp resonance or zero the change is no longer in proportion to the error.
+        # Near a sharp resonance or zero the change is not proportional to the error.
         return {
             "mesh": np.clip(
                 np.nan_to_num(tests.forward.difference(moved, self.base.values)),
@@ -473,7 +473,7 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
     """What a standard deviation of each error adds to the observables, (m,) each, about the motion of a rig.
 
     Sensors of the bench's own simulator have neither zeros nor gains that are off. The zero of a sensor is one for all
-    records, which it drifts about: what is little beside a loud record is much beside a quiet one.
+    records, which it drifts about: it is small relative to a loud record and large relative to a quiet one.
 
     Args:
         observations: the real side.

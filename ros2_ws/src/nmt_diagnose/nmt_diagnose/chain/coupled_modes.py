@@ -1,13 +1,13 @@
 """What mesh, reduction and the law of damping of a finite-element model do to the shapes of its modes.
 
-They change K by some δK. In coordinates of the modes its diagonal moves each frequency, and a diagnosis fits that; what
-lies beside the diagonal mixes two shapes. Neither can be without the other: of two modes at one frequency any
-combination is a mode, and what is left open must not depend on which is taken. A symmetric random matrix of that kind
-has half of the variance of its diagonal beside it (Mehta, Random Matrices, 2004, section 2.3). It moves the zeros
+They change K by some δK. In modal coordinates its diagonal terms move each frequency, and a diagnosis fits that. Its
+off-diagonal terms mix two shapes. Neither can be without the other: of two modes at one frequency any combination is a
+mode, and the uncertainty must not depend on which is taken. Off-diagonal terms of a symmetric random matrix of that
+kind have half of the variance of the diagonal ones (Mehta, Random Matrices, 2004, section 2.3). They move the zeros
 between near resonances, which a lightly damped structure shows as sharply as the resonances.
 
-The same of damping, which a law gives as a guess: a diagnosis fits that of each mode, and what couples two of them is
-at most the root of their product, as the whole is to be passive.
+The same holds for damping, which a law only approximates: a diagnosis fits that of each mode, and the coupling of two
+is at most the root of their product, as the whole is to be passive.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from nmt_rig.rig_model import build_plain_structure, completed_structure
 
 # Of a standard deviation.
 _STEP = 0.05
-# Standard deviation of what lies anywhere between minus and plus one.
+# Standard deviation of a uniform distribution between minus and plus one.
 _UNIFORM = 3.0**-0.5
 
 
@@ -46,7 +46,7 @@ class CoupledModes:
     def columns(self, base: Prediction) -> list[FloatArray]:
         """What one standard deviation of the coupling of each two near modes adds to the rows, (rows,) each.
 
-        Added to lines in proportion to what was measured: near a zero a response is no longer in proportion.
+        The change of a line is taken over its measured response, because near a zero its logarithm is not linear.
 
         Args:
             base: prediction of the chain's tests.

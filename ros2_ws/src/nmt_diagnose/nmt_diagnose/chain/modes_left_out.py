@@ -38,7 +38,7 @@ class ModesLeftOut:
         """What modes that a modal model leaves out add to responses over a force or at held amplitudes.
 
         Those above the band add a flexibility that rises towards the first of them, those below it minus one over a
-        mass (Ewins, Modal Testing, 2000, section 4.3): constants that nobody states, of either sign.
+        mass (Ewins, Modal Testing, 2000, section 4.3): unknown constants of either sign.
         """
         structure = self.rig.structure
         if not isinstance(structure, ModalSection) or structure.residual is not None:

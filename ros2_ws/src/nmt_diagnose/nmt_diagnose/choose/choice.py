@@ -9,8 +9,8 @@ columns asked. The last three terms are the prior: how far nuisances moved, the 
 are not zero and for fitted numbers inside columns, and the odds α that any of the M columns is a cause. Where a cause
 is a part of the target, s² is taken per variance of the target that is kept, for scaling it to zero explains all.
 
-The floor asks how many causes and coefficients there are. Where it bounds smooth errors and is no noise, s² / v is 1.
-Sets of as many are told apart by what rows say: there v is s². Numbers inside columns move by the squares of all rows.
+The floor decides how many causes and coefficients there are. Where it bounds smooth errors instead of noise, s² / v is
+1. Sets of equal size are compared by the rows: there v is s². Numbers inside columns move by the squares of all rows.
 """
 
 from __future__ import annotations

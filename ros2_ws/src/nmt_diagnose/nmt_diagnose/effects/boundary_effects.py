@@ -22,8 +22,8 @@ _JOINT_SLIDERS = 120
 
 # Slip displacement as multiples of the largest amplitude: above 1 the contact sticks and is a spring.
 SLIP_GRID = (0.03, 0.1, 0.3, 0.7)
-# The same of a contact beside the model, of a tenth of the amplitude: the stiffness of a contact is anything from less
-# than that of the structure to rigid, whatever it holds.
+# The same for a contact added to the model, of a tenth of the amplitude: the stiffness of a contact ranges from less
+# than that of the structure to rigid, whatever force it holds.
 FREE_SLIP_SHARE, FREE_SLIP_STD = 0.1, 3.0
 FREE_SLIP_GRID = (3e-4, 0.03, 0.3, 1.0, 3.0, 7.0)
 CLAMP_KEYS = {"rotation": "clamp_rotational_stiffness_nm_rad", "lateral": "clamp_lateral_stiffness_n_m"}
@@ -112,9 +112,9 @@ def _taken(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 def _friction(
     name: str, place: LocationKind, sites: Sites, equation: str, keys: str, stuck_equation: str, stuck_keys: str
 ) -> tuple[Effect, Effect]:
-    """A slider with a spring beside what the model has, and one whose spring carries a part of the model's stiffness.
+    """A slider with a spring added to the model, and one whose spring carries a part of the model's stiffness.
 
-    The latter is where a contact may slip that a model without friction takes for a spring.
+    The latter is for a contact that may slip and that a model without friction takes for a spring.
     """
     beside = Effect(
         name=name,
@@ -151,7 +151,7 @@ def _friction(
 
 
 def joint_location(element: ElementSection, nameless: str) -> Location:
-    """Where a local element with friction sits; ``nameless`` is told of one without a name."""
+    """Where a local element with friction sits; ``nameless`` replaces a missing name."""
     points = tuple(point for point in (element.point, element.other_point) if point)
     return Location("joint", points, detail=element.name or nameless)
 

@@ -37,7 +37,7 @@ def local_element(section: type[ElementSection], keys: Mapping[str, str]) -> Cha
 
 
 def added(name: str, *path: str) -> Change:
-    """Change that adds a parameter to the number at a key of the rig file; what is left out counts as 0."""
+    """Change that adds a parameter to the number at a key of the rig file; a missing number counts as 0."""
 
     def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         key_path = tuple(site.option if part == OPTION else part for part in path)

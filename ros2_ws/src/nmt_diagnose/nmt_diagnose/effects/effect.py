@@ -49,7 +49,7 @@ class Site:
         option: which of several forms: a direction, or a key of the rig file.
         reference: size that a strength is counted from, in the unit of the channel; the frequency of a line, Hz; or a
             speed, m/s.
-        starts: strengths beside zero from which a fit begins, by name, in their unit.
+        starts: strengths other than zero from which a fit begins, by name, in their unit.
         begun: all parameters from which fits begin instead, by name, in their unit, where data tell them together.
         limits: largest magnitude that physics allows a parameter, by name, in its unit; none for those left out.
         band_hz: band that shows a resonance here, Hz; (0, 0) where none does.
@@ -91,7 +91,7 @@ class Effect:
         equivalents: effects that look alike, and the test that distinguishes them.
         form: which of several forms of one name it is; empty where they never compete.
         ordinary: standard deviation of the strength in an ordinary measuring chain, where no error of the chain stands
-            for it; 0 = one does, or there is no such tolerance.
+            for it; 0 = one does, or it has no such tolerance.
     """
 
     name: str

@@ -23,7 +23,7 @@ ALIKE_AT_EVERY_LEVEL = frozenset({
     "force_gain", "force_cell_mass", "response_gain", "transverse_sensitivity", "sensor_mass", "channel_skew",
     "shared_delay", "drive_hold", "low_pass", "charge_high_pass", "clock_error", "phase_offset", "loop_latency",
 })  # fmt: skip
-"""Effects that change every level by the same factor or phase: found at a low one, they tell nothing of what grows."""
+"""Effects that change every level by the same factor or phase: one found at a low level says nothing of growth."""
 
 
 @cache

@@ -38,7 +38,7 @@ class Location:
         kind: place of the verdict.
         points: points of the structure that tell it from others of its kind; empty where there is only one.
         channel: channel it belongs to; empty if it is of no sensor.
-        detail: what a reader sees beside the kind; empty where there is only one.
+        detail: what a reader sees in addition to the kind; empty where there is only one.
     """
 
     kind: LocationKind

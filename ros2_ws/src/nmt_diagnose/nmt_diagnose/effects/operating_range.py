@@ -69,7 +69,7 @@ class OperatingRange:
     lacking: tuple[LackingMode, ...] = ()
 
     def typical_mass(self, point: int) -> float:
-        """1 % of what moves at a point, kg: of the mode's mass there or of the structure, whichever is less."""
+        """1 % of the moving mass at a point, kg: of the mode's mass there or of the structure, whichever is less."""
         return 0.01 * min(self.effective_mass[point], self.total_mass)
 
     def effective_stiffness(self, point: int) -> float:

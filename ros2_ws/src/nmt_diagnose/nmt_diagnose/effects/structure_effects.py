@@ -154,7 +154,7 @@ def _with_mass(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
 def _oscillator_starts(mode: LackingMode, point: int, mass: float, hanging: bool) -> Mapping[str, float] | None:
     """Parameters of an oscillator of some mass that gives the model the pole of the responses; None where none does.
 
-    With the receptance H of the point and the dynamic stiffness Z of what is added, 1 + H Z = 0 at the pole s. That of
+    With the receptance H of the point and the dynamic stiffness Z of the addition, 1 + H Z = 0 at the pole s. That of
     the oscillator has 1/Z = 1/(s² m) + 1/(k + s c); where its mass is taken from the structure, Z − s² m counts.
     """
     s, inertia = mode.pole, mode.pole**2 * mass
@@ -249,7 +249,7 @@ _MORE: dict[str, Callable[[Effect], tuple[Effect, ...]]] = {
     "power_law_damping": lambda effect: (_power_law(effect), _STRUCTURAL_DAMPING),
     "viscous_damping": lambda effect: (effect, _ADDED_MASS, _MISSING_MODE, _ELASTIC_TRANSMISSION),
 }
-"""What an effect is beyond its element; and, beside those that they are like, effects that are none."""
+"""Properties of an effect beyond its element; effects without an element follow those that they resemble."""
 
 
 def _structure_effects() -> Iterator[Effect]:

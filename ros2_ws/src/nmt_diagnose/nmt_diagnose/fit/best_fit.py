@@ -69,7 +69,7 @@ def best_fit(
         widen: let the prior of strengths follow them, see :func:`widened`.
 
     Raises:
-        FitError: no start leads anywhere, and there is no known fit.
+        FitError: no start leads to a fit, and none is known.
     """
     best, reason = known, "there is no start"
     for start in starts:
@@ -89,9 +89,9 @@ def best_fit(
 
 
 def from_believed(data: Data, found: FitResult) -> FitResult:
-    """A fit of the model alone, or a better one from where those of its parameters that nobody believes are as given.
+    """A fit of the model alone, or a better one that starts with its implausible parameters at their given values.
 
-    A resonance that is damped away is gone from the rows, and no slope leads back to it.
+    A resonance that is damped away leaves no trace in the rows, so no slope leads back to it.
     """
     far = np.abs(found.theta) > THRESHOLDS.comparison.credible_sigmas
     starts = [Start(StartName.BELIEVED, np.where(far, 0.0, found.theta), coarse=True)] if far.any() else []

@@ -25,8 +25,8 @@ class FittedExplanation:
     Attributes:
         candidates: its effects at their places; none for the model alone.
         fit: the fit.
-        small: numbers of those candidates without which what is left would not matter: nothing is said of them.
-        beside: what candidates do beside simpler explanations, as rules ask for it, by number.
+        small: numbers of those candidates without which the residual would not matter: they are not reported.
+        beside: what candidates do compared with simpler explanations, as rules ask for it, by number.
     """
 
     candidates: tuple[Candidate, ...]
@@ -65,7 +65,7 @@ class FittedExplanation:
     def scale(self, gap: bool = True) -> FloatArray:
         """What residuals over σ are multiplied by to be in standard deviations of the noise, (m,).
 
-        Where there is a gap, what an explanation leaves of it makes the scale that it learns larger, and is no noise.
+        The residual of a gap enlarges the scale that an explanation learns. That part of the scale is not noise.
         """
         weights = self.fit.errors.weights
         return np.asarray(np.sqrt(np.maximum(weights, 1.0) if gap else weights))
@@ -90,7 +90,7 @@ class LeftOut:
 
     Attributes:
         found: the explanation.
-        beside: the model alone, fitted to the same.
+        beside: the model alone, fitted to the same data.
         behind: ln evidence that it lies behind the best.
         behind_most: that the last one lies behind that competes, where as many compete as may; else infinite.
     """

@@ -117,11 +117,11 @@ class Data:
         return np.where(self.used, np.nan_to_num(result) / self.sigma, 0.0)
 
     def change(self, before: FloatArray, after: FloatArray, errors: ChainErrors) -> FloatArray:
-        """Change of what is compared from one prediction of the model, (m,), to another, over σ."""
+        """Change of the compared values from one prediction of the model, (m,), to another, over σ."""
         return self.difference(before, errors.chain) - self.difference(after, errors.chain)
 
     def slopes(self, columns: FloatArray, values: FloatArray) -> FloatArray:
-        """Derivatives of the model's values, (m, n), about values, as derivatives of what is compared, over σ."""
+        """Derivatives of the model's values, (m, n), about values, as derivatives of the compared values, over σ."""
         result = np.nan_to_num(columns, posinf=0.0, neginf=0.0)
         z = np.nan_to_num(self._over_measured(values))[:, None]
         turned = z * (result[self.lines[0]] + 1j * result[self.lines[1]])
@@ -129,7 +129,7 @@ class Data:
         return self.whitened(self._scaled(result))
 
     def chain_slopes(self, moved: FloatArray) -> FloatArray:
-        """Derivatives by the errors of the measuring chain of what is compared, over σ, (m, r).
+        """Derivatives of the compared values by the errors of the measuring chain, over σ, (m, r).
 
         Args:
             moved: values of the model with the errors that multiply it, (m,).
@@ -265,7 +265,7 @@ class ChainErrors:
 
 
 def chain_errors_at(data: Data, values: FloatArray, chain: FloatArray) -> ChainErrors:
-    """What errors of the chain, (r,), leave beside the values of a model, (m,); without derivatives."""
+    """Residual and cost of a model's values, (m,), with given errors of the chain, (r,); without derivatives."""
     groups, counts = data.groups, data.counts
     moved = values + data.chain @ chain
     left = data.whitened(data.residual_of(moved, chain))
@@ -378,10 +378,10 @@ class FitResult:
 
 
 class Metric:
-    """Products of whitened vectors after chain and parameters took what they can.
+    """Inner products of whitened vectors after the part that chain and parameters can explain is projected out.
 
     Args:
-        columns: of what takes, over σ, (m, k).
+        columns: derivatives by these parameters, over σ, (m, k).
         precision: inverse prior variance of each, (k,).
         weights: of the rows, (m,).
     """
@@ -597,8 +597,8 @@ def _normal(
 ) -> tuple[FloatArray, FloatArray]:
     """Normal matrix of θ with the chain marginalised, and the gradient.
 
-    Errors of the chain are at their best to a tiny fall of the cost. Where θ and chain do nearly the same, what is left
-    of the chain's own gradient is larger than that of θ, so that it is taken off.
+    Errors of the chain are at their best to a tiny fall of the cost. Where θ and chain are nearly collinear, the
+    remaining gradient of the chain is larger than that of θ, so that it is taken off.
     """
     metric = Metric(errors.slopes, np.ones(errors.chain.size), errors.weights)
     projected, taken = metric.project(slopes)

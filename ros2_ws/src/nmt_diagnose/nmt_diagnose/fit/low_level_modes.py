@@ -1,4 +1,4 @@
-"""Modes that frequency responses show, beside those of the model: is it adequate, and where does a fit start?
+"""Compares the modes that frequency responses show with the model's: is it adequate, and where does a fit start?
 
 Lines on a narrow resonance say nothing about one that is several bandwidths away: between the two every step of a fit
 leads astray. Frequencies and dampings of the modes themselves are smooth in the parameters, so that fits that begin
@@ -44,7 +44,7 @@ _DAMPING_STD = 0.1
 
 # Relocations of the poles (Gustavsen and Semlyen 1999).
 _VECTOR_FITTING_ROUNDS = 20
-# Pairs of poles beside those of the modes: what noise and modes outside of the band need.
+# Additional pairs of poles, which noise and modes outside of the band need.
 _EXTRA_POLE_PAIRS = 3
 # Most steps of a search that brings modes together.
 _START_STEPS = 40
@@ -52,7 +52,7 @@ _START_STEPS = 40
 _MOVES_BY_ROUNDING = 1e-6
 # Step, in prior standard deviations, over which the matrices of a rig are differenced.
 _MATRIX_STEP = 1e-6
-# Damping ratio below which none is told from another.
+# Damping ratio below which all dampings count as equal.
 _LEAST_DAMPING = 1e-9
 # Residual of a model that has no such modes: larger than any that has.
 _UNPAIRED_RESIDUAL = 1e3
@@ -359,7 +359,7 @@ class LowLevelModes:
         observations: Observations,
         late: dict[tuple[int, int], float],
     ) -> None:
-        """Keep the modes of a test; what delays its channels (s) is no pole and is taken off."""
+        """Keep the modes of a test; delays of its channels (s) are taken off, as they are not poles."""
         rows = observations.rows
         responses = np.full((len(test.channels), lines.size), np.nan, dtype=np.complex128)
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.LOG_MAGNITUDE)):
@@ -429,7 +429,7 @@ class LowLevelModes:
     def lacking(self, data: Data, found: FitResult, certain: bool = False) -> tuple[str, ...]:
         """Sentences on modes that the model lacks: channels miss what is around them in the best fit.
 
-        Noise, filters and effects make poles, too; what an explanation leaves nothing of is no mode.
+        Noise, filters and effects make poles, too. A pole whose rows an explanation fits is not a lacking mode.
 
         Args:
             data: what was fitted.
@@ -532,7 +532,7 @@ class LowLevelModes:
         )
 
     def start(self, parametrisation: Parametrisation, theta: FloatArray) -> tuple[FloatArray, float]:
-        """Parameters that bring the model's modes to the measured ones from some others, and what is left, squared."""
+        """Parameters that bring the model's modes to the measured ones from some others, and the squared residual."""
         begin = np.where(np.isfinite(parametrisation.lower), np.maximum(theta, parametrisation.lower + 1e-6), theta)
         solved = least_squares(
             lambda values: self.residual(parametrisation, values), begin,
@@ -569,7 +569,7 @@ class LowLevelModes:
 
 
 def _parts(rig: Rig, test: ResponseLines, near: RigParts | None = None) -> RigParts | None:
-    """A rig as a test meets it, beside one that differs from it a little; None where it cannot be taken apart."""
+    """A rig under the conditions of a test, built near a similar one; None where it cannot be taken apart."""
     try:
         return rig_parts(
             rig, test.channels, FourierBasis.up_to(1), PredictionSettings(),

@@ -52,7 +52,7 @@ def misfit_of(observations: Observations) -> Misfit:
 
 
 def rows_of_kind(observations: Observations, kind: str) -> BoolArray:
-    """Rows of a kind of what matters in which a model may be smoothly off, (m,)."""
+    """Rows of a kind in which a model may be smoothly off, (m,)."""
     parts = parts_where(lambda facts: facts.smooth and facts.matters == kind)
     return np.asarray(np.isin(observations.rows.part, parts))
 

@@ -36,7 +36,7 @@ def free_parameters(rig: Rig, observations: Observations) -> tuple[CalibrationPa
 def own_and_modes(rig: Rig, observations: Observations) -> tuple[CalibrationParameter, ...]:
     """Parameters of the model and of its modes in the band of the observations."""
     of_modes = mode_factors(rig, *_band(observations))
-    # A factor on a damping matrix says nothing beside one for each of its modes.
+    # A factor on the damping matrix is redundant with a factor for each of its modes.
     each = any(parameter.path == ("structure", "damping_factors") for parameter in of_modes)
     of_model = (p for p in calibration_parameters(rig) if not (each and p.path == ("structure", "damping_factor")))
     return (*of_model, *of_modes)

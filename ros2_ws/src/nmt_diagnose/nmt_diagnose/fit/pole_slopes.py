@@ -89,7 +89,7 @@ def _null_vector(matrix: ComplexArray, sizes: FloatArray, start: ComplexArray) -
     """Vector (n,) of unit size that a matrix, singular but for rounding, takes to nothing.
 
     ``sizes`` (n, n) are those of the terms that its entries are sums of: rows of currents are many orders smaller than
-    those of springs, and what is left of a row is rounding.
+    those of springs, and a row whose terms cancel holds only rounding.
     """
     scaled = matrix / np.max(sizes, axis=1)[:, None]
     # A pivot that is zero by chance.

@@ -15,8 +15,8 @@ from nmt_diagnose.ledger.diagnosis import HIDDEN, NULL, UNKNOWN, Diagnosis, Next
 def answers_of(diagnosis: Diagnosis) -> dict[str, float]:
     """Probability of ``none``, ``unknown`` and of each set of effects wherever they act, the most probable first.
 
-    Where there is no gap, ``none`` is that no test of the plan would show one, and ``too_weak_so_far`` that one of
-    those that are left would.
+    Without a gap, ``none`` means that no test of the plan would show one, and ``too_weak_so_far`` that one of the
+    remaining tests would.
     """
     found: dict[str, float] = {}
     no_gap = diagnosis.verdict in (Verdict.NONE, Verdict.CALIBRATION)

@@ -1,4 +1,4 @@
-"""Plain checks of what an investigation states: of having no gap, by the recordings alone, and of how it ended."""
+"""Plain checks of an investigation's statements: of having no gap, by the recordings alone, and of how it ended."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _COURSES = ((Part.LOG_FREQUENCY, "frequency", "the frequency"), (Part.LOG_MAGNITUDE, "response", "the response of {}"))
-"""Observables whose course over the levels a person would look at: part, kind of what matters, words."""
+"""Observables whose course over the levels a person would look at: part, kind of the size that matters, words."""
 _STATED_BY = {
     "named": (Verdict.EFFECT,),
     "no_gap": (Verdict.NONE,),
@@ -29,12 +29,12 @@ _STATED_BY = {
 def none_contradicted(observations: Observations, predicted: FloatArray, matters: Mapping[str, float]) -> str:
     """What the course of the recordings over the levels says against having no gap.
 
-    Frequency and responses of a model without a gap leave nothing that goes with the level. No fit and no learnt noise
-    enters: the scatter of what is left is that of neighbouring levels.
+    Frequency and responses of a model without a gap leave a residual that does not depend on the level. Neither a fit
+    nor a learnt noise scale enters: the noise is the scatter between neighbouring levels.
 
     Args:
         observations: the real side.
-        predicted: by the model that is said to have no gap, (m,).
+        predicted: by the model that is stated to have no gap, (m,).
         matters: smallest relative size that matters, by kind of observable.
 
     Returns:
@@ -60,7 +60,7 @@ def none_contradicted(observations: Observations, predicted: FloatArray, matters
 
 
 def _course(left: FloatArray, amplitude: FloatArray, rows: BoolArray) -> float:
-    """Change of what is left from the lowest to the highest third of the levels; 0 where that is their scatter."""
+    """Change of the residual from the lowest to the highest third of the levels; 0 where that is their scatter."""
     found = np.flatnonzero(rows)
     values = left[found][np.argsort(amplitude[found], kind="stable")]
     third = max(1, values.size // 3)
@@ -92,7 +92,7 @@ def end_contradicted(record: InvestigationRecord) -> str:
 
 
 def ended_record(record: InvestigationRecord, why: str, sentence: str) -> InvestigationRecord:
-    """A record with its end: a sentence with the bound of what was measured, where it rests on a diagnosis.
+    """A record with its end: a sentence, with the record's bound where it rests on a diagnosis.
 
     An end that the record itself contradicts is `unknown`, and says what contradicts it.
 

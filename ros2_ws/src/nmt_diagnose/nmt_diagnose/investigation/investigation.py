@@ -227,7 +227,7 @@ class Investigation:
         return levels if levels is not None and self._affordable(levels) else None
 
     def _possible(self) -> list[NextTest]:
-        """Proposed tests that have a command and need nobody at the rig."""
+        """Proposed tests that have a command and need no person at the rig."""
         assert self.diagnosis is not None
         fixed = self.settings.fixed_exciter
         return [

@@ -166,10 +166,10 @@ class InvestigationRecord:
 
 
 def read_record(folder: Path) -> InvestigationRecord | None:
-    """The record in a folder; None where there is none.
+    """The record in a folder; None without one.
 
     Raises:
-        BenchError: the file cannot be read or is no record.
+        BenchError: the file cannot be read or is not a record.
     """
     path = folder / RECORD_FILE
     if not path.exists():

@@ -136,9 +136,9 @@ class Comparison:
 
 
 def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedShare]) -> Comparison:
-    """The comparison with one effect at its head where it closes most of a gap that two together may not explain.
+    """Rank a single effect first if it alone closes most of a gap that several together may not explain.
 
-    What closes most of a gap alone is established by that, whatever acts beside it.
+    An effect that closes most of a gap alone is established, whatever else acts.
 
     Args:
         comparison: of all explanations.
@@ -168,7 +168,7 @@ def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedS
 
 
 def source_locations(data: Data, base: FittedExplanation) -> list[SourceLocation]:
-    """Places where something unnamed may sit beside a fit, with what it could do to the rows."""
+    """Possible places of an unnamed source, given a fit, and the changes that it could make to the rows."""
 
     def whitened(columns: FloatArray) -> FloatArray:
         return data.slopes(columns, base.fit.errors.values)
@@ -248,7 +248,7 @@ def distance(left: FittedExplanation, right: FittedExplanation) -> float:
 
 
 def misfit(found: FittedExplanation, weights: FloatArray) -> float:
-    """Squares of what a fit leaves, in the learnt noise of ``weights``, and of what it asks of its model."""
+    """Residual sum of squares in the noise learnt by ``weights``, plus the prior misfit of model and chain."""
     fitted = found.fit
     count = len(fitted.parametrisation.calibration)
     pulls = fitted.theta[:count] / fitted.parametrisation.prior_std[:count]
@@ -319,7 +319,7 @@ class Hypotheses:
         return [found for found in self.named if found.stated]
 
     def _left(self, found: FittedExplanation) -> float:
-        """ln of the probability that an explanation leaves noise and asks nothing of the model that nobody believes."""
+        """ln probability that the residual is noise and that no parameter of the model is implausible."""
         errors, total = found.fit.errors, 0.0
         if left_over(self.data, found, self.data.observations.matters):
             chance = chance_of(self.data.tails(errors))
@@ -345,10 +345,10 @@ class Hypotheses:
 
     @staticmethod
     def _evidence(found: FittedExplanation) -> float:
-        """ln evidence; parameters that nobody believes count twice.
+        """ln evidence with a second penalty for implausible parameters.
 
-        What the fit of the model alone did not reach counts as if it had, so that no effect is claimed for want of a
-        few steps; an explanation counts for what it reached.
+        The model alone is credited with the rise that its unfinished fit still promised, so that no effect is claimed
+        because a fit stopped early. Explanations get no such credit.
         """
         fitted = found.fit
         promised = 0.0 if found.candidates else 0.5 * fitted.promised
@@ -367,7 +367,7 @@ class Hypotheses:
     def small(self) -> FittedExplanation | None:
         """The most probable explanation of a difference that the recordings show and that does not matter.
 
-        The evidence has to demand each of its effects: of what explains almost as much with fewer, that is taken.
+        The evidence has to demand each of its effects. A simpler explanation with nearly the same evidence replaces it.
         """
         unstated = [it for it in self.named if not it.stated]
         found = max(unstated, key=self._evidence, default=None)
@@ -387,7 +387,7 @@ class Hypotheses:
 
     @property
     def _small_probability(self) -> float:
-        """Of what is small rather than nothing."""
+        """Probability of a small difference against none."""
         small = self.small
         if small is None:
             return 0.0
@@ -439,7 +439,7 @@ class Hypotheses:
             for location, share in _shares(best):
                 by_place[location] = by_place.get(location, 0.0) + (float(p) - beside) * share
         total = sum(by_place.values())
-        # What leaves more than noise has something unnamed beside it, as far as is known at the same place.
+        # A residual beyond noise shows an unnamed cause. Without further evidence it is placed with the named one.
         noise = np.exp([self._left(explanation) for explanation in stated])
         unknown = float(p_unnamed.sum() + p_named @ (1.0 - noise))
         given_library = p_named / max(float(p_named.sum()), 1e-300)
@@ -491,8 +491,8 @@ class Hypotheses:
     def located(self, effects: tuple[str, ...]) -> list[tuple[Location, float]]:
         """Places of some effects with the share of each; sum 1.
 
-        Several effects together are fitted at few places. Where only one placement was, each of them is no surer of its
-        place than it is by itself.
+        Combinations are fitted at few places. If only one placement was fitted, each of its effects takes the location
+        probabilities of its fit alone.
 
         Args:
             effects: of explanations that are stated.

@@ -18,7 +18,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 
 FORMAT = "nmt diagnosis 1"
 NULL, UNKNOWN = "none", "unknown"
-"""Keys of ``probabilities`` beside the labels of explanations: nothing is missing, or something without a name."""
+"""Further keys of ``probabilities`` after the labels of explanations: nothing is missing, or an unnamed cause."""
 TOO_WEAK = "too_weak"
 """What acts and shows in no row, among answers."""
 HIDDEN = "too_weak_so_far"
@@ -210,7 +210,7 @@ class NextTest:
         expected_sigma: by how many standard deviations.
         seconds: bench time that it takes, as the tests at hand took it.
         information: fall of the entropy of the explanations that it distinguishes that is expected, nats.
-        hidden: probability of what acts and shows, or matters, only in tests that are left; 0 where there is a gap.
+        hidden: probability of an effect that shows, or matters, only in the remaining tests; 0 where there is a gap.
         grows: what shows already and is expected to matter in them; empty where that is less probable than that
             something else shows.
         levels: of the plan, where the test goes on with it.
@@ -232,7 +232,7 @@ class NextTest:
 
     @property
     def tells_little(self) -> bool:
-        """Whether not even all levels of the plan that are left set apart what is left of explanations."""
+        """Whether even all remaining levels of the plan cannot separate the remaining explanations."""
         return self.plan_sigma < THRESHOLDS.next_test.least_asked_sigmas
 
 
@@ -268,7 +268,7 @@ class DetectableEffect:
 
 @dataclass(frozen=True)
 class ResidualGroup:
-    """Part of the residual map: what is left in a test, level, channel and harmonic, in noise units."""
+    """Part of the residual map: residual of a test, level, channel and harmonic, in noise units."""
 
     test: str
     level: int

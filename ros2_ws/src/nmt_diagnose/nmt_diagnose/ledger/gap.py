@@ -27,7 +27,7 @@ class ClosedShare:
     Attributes:
         before, after: root-mean-square whitened residual on held-out data.
         floor: what noise and repeatability leave.
-        value: (before − after) / (before − floor), at most 1; NaN where there is no gap to close.
+        value: (before − after) / (before − floor), at most 1; NaN without a gap to close.
         low, high: bootstrap interval of 90 %.
         gain: fall of the squared residuals over its own scatter from block to block; negative where the held-out data
             are predicted worse.
@@ -60,7 +60,8 @@ def closed(
         observations: the real side.
         pairs: residual before, residual after (m,) each, and the held-out rows, one per split.
         seed: of the bootstrap.
-        floor: rms that no model can beat; what is left where that is less, as a prediction beats what is no floor.
+        floor: rms of the noise floor. A smaller residual after the fit replaces it, as no prediction beats a true
+            floor.
     """
     before_squares, after_squares, counts = [], [], []
     for before, after, rows in pairs:

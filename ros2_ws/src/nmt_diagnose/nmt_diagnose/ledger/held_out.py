@@ -44,7 +44,7 @@ def named_tests(observations: Observations, names: Sequence[str]) -> BoolArray:
     """Rows of the tests of some names; a bag's name stands for all tests of the bag, shape (m,).
 
     Raises:
-        BenchError: there is no such test, or nothing else is left.
+        BenchError: no test has such a name, or no test remains to be fitted.
     """
     found = np.zeros(len(observations.rows), dtype=bool)
     for name in names:

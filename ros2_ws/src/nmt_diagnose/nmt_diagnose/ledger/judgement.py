@@ -69,7 +69,7 @@ class Judgement:
 
     @property
     def partial(self) -> bool:
-        """Whether what is stated is a part of what acts."""
+        """Whether the stated effect explains only a part of the gap."""
         return self.verdict is Verdict.EFFECT and not self.adequate
 
     @property
@@ -79,12 +79,12 @@ class Judgement:
 
     @property
     def reported(self) -> FittedExplanation:
-        """What the rest of the gap is told by: with what comes nearest, or alone."""
+        """The explanation that describes the rest of the gap: the nearest one, or the model alone."""
         return self.findings.null if self.nearest is None else self.nearest.head
 
     @property
     def law(self) -> LawReading | None:
-        """The law of held levels where it is told: nothing in the library is the whole, and the rest is in order."""
+        """The law of held levels, if it is reported: no library effect explains all, and units and modes are right."""
         in_order = not (self.findings.inadequate or self.findings.factors)
         return self.findings.law if self.partial or (self.verdict is Verdict.UNKNOWN and in_order) else None
 

@@ -1,8 +1,8 @@
-"""A plain look at what was recorded beside what the model predicts, without noise, scales or search.
+"""Compares recorded with predicted signals directly, without noise model, learnt scales or search.
 
-A learnt scale of the noise takes a signal that is 57 times too large for noise, and a search finds laws that imitate a
-turned sign. So two things are looked at first: by which factor each channel is larger than the model predicts (a unit,
-a sign), and last: what share of the signal of each channel the model leaves.
+A learnt noise scale absorbs a signal that is 57 times too large, and a search finds laws that imitate a turned sign.
+So two checks come first: by which factor each channel is larger than the model predicts (a unit, a sign), and last,
+which share of the signal of each channel the model leaves unexplained.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ def factors(
 ) -> tuple[Factor, ...]:
     """Channels that another unit or a turned sign explains before the model does.
 
-    A factor between two units, or a sign, is told by the model as given. Any other factor has to be left by the model
-    with its parameters re-fitted: a spring that is four times as stiff takes four times the force. And it is that of
-    the channel in every test: friction that the model lacks is many times its force at a low speed, few at a high one.
+    A factor between two units, or a sign, follows from the model as given. Any other factor has to remain after the
+    parameters are refitted: a spring that is four times as stiff takes four times the force. It also has to be the same
+    in every test: friction that the model lacks is many times its force at a low speed, few at a high one.
 
     Args:
         observations: the real side.
@@ -158,9 +158,9 @@ def _factor(observations: Observations, predicted: FloatArray, used: BoolArray, 
 
 
 def share_left(observations: Observations, predicted: FloatArray, used: BoolArray) -> tuple[float, str]:
-    """The largest share that a channel leaves of its signal, or a test of its damping, beyond noise; and of what.
+    """The largest unexplained share of a channel's signal, or of a test's damping, beyond noise; and its name.
 
-    The noise is what the recordings show of themselves: what leaves no more than several times that leaves nothing.
+    The noise is estimated from the recordings alone. A residual of up to several times that noise counts as zero.
 
     Args:
         observations: the real side, its uncertainties as they were read.

@@ -18,11 +18,10 @@ class Facts:
         promised_least: least promise of those that were fitted in its place.
         behind: ln evidence behind the best of those that were fitted with it.
         behind_most: ln evidence of the last that was fitted on behind the best, where there are more than may be.
-        left_without: what is left without its effect over what matters; or by how much model and measuring chain
-            return to what is believed of them, over what chance does.
-        left_within: what is left without its effect over what matters, where model and measuring chain stay within what
-            is believed of them; asked where the effect only brings them back there. Not asked of effects of
-            sensors.
+        left_without: residual without its effect, over what matters; or by how much model and measuring chain move back
+            to their priors, over what chance does.
+        left_within: residual without its effect, over what matters, with model and measuring chain held within their
+            priors; asked where the effect only moves them back there. Not asked of effects of sensors.
         change: of the predictions by its effect, over what matters.
         log_odds: ln of the odds of any gap.
         modes: of the recordings that the model lacks or has in another order.
@@ -30,16 +29,16 @@ class Facts:
         worse: standard deviations by which rows held out are predicted worse than by the model alone.
         left: more than noise, over what matters; of the model alone the largest share of its signal that a channel
             leaves, over what may be noise.
-        pull: furthest parameter of the model from what is believed of it, in standard deviations of that, where going
-            back would matter.
+        pull: largest distance of a parameter of the model from its prior mean, in prior standard deviations, where its
+            return would matter.
         parameters: of the model.
         laws: of the structure that act together.
         probability: of its class.
-        rival: largest probability of what is not its class.
+        rival: largest probability of any other class.
         among_library: probability of its class if one explanation of the library had to be the whole of the gap.
         closed: share of the gap on data held out that it closes.
         effects: that it states.
-        part: it is judged as a part of what acts.
+        part: it is judged as a partial explanation.
     """
 
     promised: float = _NOT_ASKED
@@ -74,7 +73,7 @@ class Ruling:
         number: of the explanation.
         limit: of the rule.
         passed: whether the explanation may be stated as far as this rule goes.
-        part: whether it was asked of the explanation as a part of what acts.
+        part: whether it was applied to the explanation as a partial one.
     """
 
     rule: str
@@ -132,9 +131,8 @@ class LedgerRow:
         small: those of its effects that it does not need.
         start: name of the start from which its fit was the best.
         left: what it leaves, by group of rows.
-        parameters: the model's, in standard deviations of what is believed of them.
-        chain: errors of the measuring chain beyond one standard deviation of what is believed of them, the largest
-            first.
+        parameters: the model's, in prior standard deviations.
+        chain: errors of the measuring chain beyond one prior standard deviation, the largest first.
         change: largest change of its predictions from those of the model alone by kind, over what matters.
         apart: distance of its predictions from those of other explanations, in standard deviations.
         predicted: rows that its fit did not see; None where that was not judged.

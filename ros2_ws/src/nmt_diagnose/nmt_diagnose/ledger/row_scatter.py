@@ -1,9 +1,9 @@
 """How much rows scatter about their neighbours, whatever a model predicts: what their noise can be at most.
 
 What a model lacks changes neighbouring levels and lines alike; noise does not. Each row is compared with the cubic
-through its four neighbours over level or frequency, in a short course with the line through two. That is done with what
-was measured and with what a model leaves of it: resonances bend the first and not the second, and the smaller of the
-two is nearer to the noise, as both have bends beside it.
+through its four neighbours over level or frequency, in a short course with the line through two. This is done with the
+measured values and with the residuals of a model. Resonances bend the first and not the second. Curvature only adds
+scatter, so the smaller of the two is nearer to the noise.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class RowScatter:
     """Squares of the distance of rows from their neighbours over the variance that their uncertainties allow it.
 
     Attributes:
-        measured: of what was measured, (m,); NaN where a row has too few neighbours.
-        left: of what a model leaves, (m,).
+        measured: of the measured values, (m,); NaN where a row has too few neighbours.
+        left: of the residuals of a model, (m,).
     """
 
     measured: FloatArray
@@ -58,7 +58,7 @@ class RowScatter:
 
 
 def row_scatter(observations: Observations, predicted: FloatArray, sigma: FloatArray) -> RowScatter:
-    """Scatter of rows about their neighbours; samples of a record have none, as what is left of them is smooth in time.
+    """Scatter of rows about their neighbours; NaN for samples of a record, whose residuals are smooth in time.
 
     Args:
         observations: the real side.

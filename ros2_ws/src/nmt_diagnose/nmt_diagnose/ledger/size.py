@@ -45,7 +45,7 @@ class Size:
     other: bool
 
     def sentence(self, wanted: Mapping[str, float]) -> str:
-        """The size in words, beside the size that matters by kind."""
+        """Sentence on the size, which depends on the limits that matter by kind."""
         if matters(self, wanted):
             size = f" of up to {self.words}" if self.values else ""
             return f"The recordings hint at a difference{size}, which lies within their noise and tolerances."
@@ -66,7 +66,7 @@ SIZE_NAMES = {
 
 
 def _parts_of(kind: str) -> tuple[Part, ...]:
-    """Parts of a kind of what matters."""
+    """Row parts whose size is judged as one kind."""
     return parts_where(lambda facts: facts.matters == kind)
 
 
@@ -81,11 +81,11 @@ def measured_size(data: Data, found: FittedExplanation) -> Size:
 
 @dataclass(frozen=True)
 class Objection:
-    """More than noise in a group of rows, a parameter of the model where nobody believes it, or an imitation.
+    """Residual beyond noise in a group of rows, an implausible parameter of the model, or an imitation.
 
     Attributes:
         group: test and kind of row; name of the parameter; empty of an imitation.
-        kind: kind of what matters; empty of a parameter and an imitation.
+        kind: kind of the size that matters; empty for a parameter and an imitation.
         size: relative, what noise makes taken off; of a parameter standard deviations of its prior.
         over: size over what matters.
     """
@@ -114,7 +114,7 @@ IMITATION = Objection("", "", 0.0)
 def left_over(
     data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False
 ) -> tuple[Objection, ...]:
-    """What an explanation leaves that is more than noise and matters, the largest beside what matters first.
+    """Groups whose residual exceeds noise and matters, the largest over its limit first.
 
     Arguments as of :func:`left_sizes`.
     """
@@ -124,11 +124,11 @@ def left_over(
 def left_sizes(
     data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False
 ) -> tuple[Objection, ...]:
-    """What an explanation leaves that is more than noise, the largest beside what matters first.
+    """Groups whose residual exceeds noise, the largest over its limit first.
 
-    A group counts where its scale is larger than its prior allows (Fisher's F, Bonferroni). Its size is that of what is
-    left beyond the noise of its rows at some level or tenth of the lines. Where a loop truly stood is an input of the
-    model: it speaks against its controller and nothing else.
+    A group counts where its scale is larger than its prior allows (Fisher's F, Bonferroni). Its size is the residual
+    beyond the noise of its rows at some level or tenth of the lines. The phase where a loop truly stood is an input of
+    the model: its residual speaks against the controller and nothing else.
 
     Args:
         data: what was fitted.
@@ -175,10 +175,10 @@ def largest_left(data: Data, found: FittedExplanation, wanted: Mapping[str, floa
 
 
 def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> Objection | None:
-    """What a fit leaves that is more than noise and matters, where the whole of it is visibly more than noise; or None.
+    """The largest residual that matters, if the whole residual is visibly more than noise; or None.
 
-    Beside it no gap is denied, however probable "no gap" came out: whatever scale the noise has learnt from a misfit,
-    it is no more than neighbouring rows scatter. Arguments as of :func:`left_over`.
+    Such a residual forbids the verdict "no gap", however probable that came out. The learnt scale may have absorbed a
+    misfit, so the noise is limited to the scatter of neighbouring rows. Arguments as of :func:`left_over`.
     """
     errors = found.fit.errors
     largest = row_scatter(data.observations, errors.values, data.sigma).largest_scale(data.groups.of, len(data.counts))
@@ -194,10 +194,10 @@ def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, flo
 
 
 def implausible_parameters(data: Data, found: FittedExplanation) -> tuple[tuple[Objection, ...], float]:
-    """The model's own parameter furthest from what is believed of it, where that is improbable (Bonferroni).
+    """The model's own parameter furthest from its prior mean, where that is improbable (Bonferroni).
 
-    Beyond some value a parameter may do nothing more, such as the damping of modes that do not show at all: what does
-    not matter where it goes back to what is credible is no objection.
+    Beyond some value a parameter may have no further influence, such as the damping of modes that do not show at all.
+    A parameter whose return to a plausible value changes nothing that matters is not objected to.
 
     Returns:
         None or one, and the probability that any of them is as far.
@@ -274,12 +274,12 @@ def beside_simpler(
     wanted: Mapping[str, float],
     own_chain: OwnChain | None = None,
 ) -> Facts:
-    """What the effects do that an explanation has more than another, as rules ask for it.
+    """What the additional effects of an explanation do, as rules ask for it.
 
-    The other leaves more than noise that matters, and their predictions differ; or it is that near only by parameters
-    or a measuring chain that nobody believes, and leaves as much where it has to do without these. An effect of a
-    sensor, such as its gain, is itself the finding on the chain. An effect that the evidence demands is there, however
-    little re-fitted parameters leave in its place: whether it matters is the size of its own change.
+    The simpler explanation leaves a residual beyond noise that matters, and the predictions differ. Or it fits only by
+    implausible parameters or an implausible measuring chain, and leaves such a residual without these. An effect of a
+    sensor, such as its gain, is itself the finding on the chain. An effect that the evidence demands is present, even
+    where refitted parameters leave little residual in its place: whether it matters is the size of its own change.
     """
     numbers = [k for k, candidate in enumerate(more.candidates) if candidate.cause not in less.fitted.causes]
     loop = any(more.candidates[k].site.location.kind == "controller" for k in numbers)
@@ -339,7 +339,7 @@ def tension(data: Data, found: FittedExplanation) -> float:
 
 
 def relief_that_counts(data: Data, found: FittedExplanation) -> float:
-    """Fall of the tension of a fit by one effect more that is no chance: χ² of one degree of freedom, Bonferroni."""
+    """Smallest significant drop of the prior misfit by one added effect: χ², 1 degree of freedom, Bonferroni."""
     count = _believed(data, found).size
     return float(chdtri(1, THRESHOLDS.comparison.incredible_probability / max(count, 1)))
 
@@ -511,8 +511,8 @@ def within_belief(data: Data, fitted: FitResult) -> FitResult | None:
     """A fit with the model's parameters and the chain's tolerances within three standard deviations of their priors.
 
     A fit takes a gain of 1 % to 2.5 % and a spring five standard deviations away where that saves more than it costs.
-    The noise is no smaller than stated here: what is surer than that by a learnt scale moves nothing away from what is
-    believed. The limits are found with the derivatives of the fit.
+    No row counts as more certain than its stated noise: a smaller learnt scale may not move parameters away from their
+    priors. The limits are found with the derivatives of the fit.
 
     Args:
         data: what was fitted.

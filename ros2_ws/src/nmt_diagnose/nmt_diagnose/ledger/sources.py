@@ -59,7 +59,7 @@ def places(
         rig: rig of ``prediction``.
         prediction: solution about which the sources are small.
         observations: the real side.
-        whitened: takes changes (m, n) of the model's values and gives those of what is compared, over σ.
+        whitened: maps changes (m, n) of the model's values to changes of the compared values, over σ.
     """
     channels = {c.name: c for test in observations.tests for c in test.channels}
     wanted: list[tuple[Location, Source]] = [

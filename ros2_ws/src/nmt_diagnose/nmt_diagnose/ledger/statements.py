@@ -1,7 +1,8 @@
 """Every statement that the bench makes about data, with the plain check that stops it.
 
-An inference is believed only beside a look at the data that could contradict it. Each statement names that look in
-code, what is said where it fails, and the test that shows it. The page docs/reference/statements.md comes from here.
+Each inference needs a plain look at the data that could contradict it. Each statement names that look in code, the
+sentence that is reported where it fails, and the test that shows it. The page docs/reference/statements.md comes from
+here.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a reader has to mind: fits that stopped early, parameters that nobody would believe, remainders."""
+"""What a reader has to mind: fits that stopped early, implausible parameters, residuals."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from nmt_core.text.number_words import percent, significant
 from nmt_diagnose.ledger.rules import GAP, rule_named
 
 _NEAREST = 4  # names that are offered for a wrong one
-_GROUPS = 5  # groups of rows, parameters and errors of the chain that are told, the largest first
+_GROUPS = 5  # groups of rows, parameters and errors of the chain that are listed, the largest first
 _WIDTH = 22
 
 
@@ -144,7 +144,7 @@ def _sigmas(items: Sequence[tuple[str, float]]) -> str:
 
 
 def _beside(rows: Sequence[Mapping[str, Any]], wanted: frozenset[str]) -> Iterable[str]:
-    """Explanations that have it beside another effect."""
+    """Explanations that combine it with another effect."""
     for row in rows:
         if wanted < _causes(row["label"]):
             yield _line("beside", "; ".join(line.strip() for line in _decision(row)[:1]))

@@ -200,7 +200,7 @@ def backbone_observations(tables: TablesTogether) -> Observations | None:
     unstated = max(floors.table_log_frequency, scatter_about_a_course(amplitude[good], np.log(frequency[good])))
     scatter = _scatter_of_damping(amplitude[good], damping[good])
     notes = [] if good.all() else [f"{name}: {int((~good).sum())} of {good.size} rows have no value and are left out."]
-    # Of a damping of 0 there is no share: that of the model's damping is taken.
+    # A relative uncertainty has no meaning at a damping of 0: there it refers to the model's damping.
     model_damping = _damping_near(view, float(np.median(frequency[where])))
     for level, index in enumerate(where):
         place = Place(level, 0.0, float(frequency[index]), float(amplitude[index]))

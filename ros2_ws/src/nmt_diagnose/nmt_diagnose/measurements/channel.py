@@ -38,8 +38,6 @@ class MeasuredChannel:
 
 
 def with_magnitudes(signals: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Channels that a strength may follow, by name, each with its magnitude beside it: friction grows with a load of
-    either sign.
-    """
+    """Channels that a strength may follow, by name, and their magnitudes: friction grows with a load of either sign."""
     plain = {name: values for name, values in signals.items() if not name.startswith(MAGNITUDE_OF)}
     return plain | {MAGNITUDE_OF + name: np.abs(values) for name, values in plain.items()}

@@ -501,7 +501,8 @@ def followed_channels(
 def _zero(samples: FloatArray, channel: MeasuredChannel) -> float:
     """Standard deviation of the zero of a channel, in its unit.
 
-    A voltage is that of a converter. Where a motion is zero was nobody's concern, and a force cell carries a weight.
+    A voltage has the zero of its converter. The zero of a motion is not calibrated, and a force cell carries a weight:
+    the mean of these channels counts as an error of their zero.
     """
     mean = 0.0 if channel.quantity is Quantity.VOLTAGE else float(samples.mean())
     return math.hypot(TOLERANCES.zero * float(np.abs(samples).max()), mean)
@@ -515,7 +516,7 @@ def _from_input(
     channels: Sequence[MeasuredChannel],
     view: ModelView,
 ) -> FloatArray:
-    """Standard deviation of what the noise of the measured input makes of each response, (channels,)."""
+    """Standard deviation of each response caused by the noise of the measured input, (channels,)."""
     noise = input_noise(source, responses, sample_rate)
     lines = noise_lines(view.frequencies_hz, sample_rate, source.size / sample_rate)
     if source_channel.quantity is not Quantity.FORCE:

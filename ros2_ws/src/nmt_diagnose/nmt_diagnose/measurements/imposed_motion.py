@@ -176,7 +176,7 @@ class ImposedMotionPredictor(Predictor):
 
 
 def free_model(parts: RigParts, settings: PredictionSettings) -> LinearModel:
-    """Linear model of what moves freely while the motion of the drive point is given.
+    """Linear model of the coordinates that stay free while the motion of the drive point is given.
 
     Args:
         parts: of a rig with an ideal force.
@@ -231,7 +231,7 @@ def _between(motion: FloatArray, substeps: int) -> FloatArray:
 
 
 def _split(row: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """p with row · p = 1, and an orthonormal basis (n, n − 1) of what the row does not see (Householder)."""
+    """p with row · p = 1, and an orthonormal basis (n, n − 1) of the null space of the row (Householder)."""
     size = float(np.linalg.norm(row))
     pivot = int(np.argmax(np.abs(row)))
     mirror = row / size
@@ -444,7 +444,7 @@ class _Motion:
             found.insert(0, found[0].antiderivative())
             bias.insert(0, np.zeros(samples.size))
         if order == 2:
-            # Nobody knows the velocity at the start: the drift that this makes is no motion.
+            # The initial velocity is unknown: the drift that it causes is not a motion and is taken out.
             drift = np.polyfit(time, found[0](time), 1)
             found[0], found[1] = _without(found[0], time, drift), _without(found[1], time, drift[:1])
         values = np.array([spline(time) for spline in found])
@@ -506,7 +506,7 @@ def independent_values(force: FloatArray, sample_rate: float) -> int:
 def _impedance_noise(
     motion: _Motion, source: MeasuredChannel, channels: Sequence[MeasuredChannel], view: ModelView
 ) -> FloatArray:
-    """Standard deviation of what the noise of the motion makes of each channel, friction sticking, (channels,)."""
+    """Standard deviation of each channel caused by the noise of the motion, friction sticking, (channels,)."""
     lines = np.asarray(motion.bandwidth_hz * np.arange(1, 201) / 200.0, dtype=np.float64)
     over = view.responses([source, *channels], lines)
     with np.errstate(divide="ignore", invalid="ignore"):

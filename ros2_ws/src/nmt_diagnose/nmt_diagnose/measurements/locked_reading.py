@@ -87,7 +87,7 @@ def locked_windows_of(bag: BagWindows) -> list[Observations]:
 def phase_resonance_observations(name: str, windows: Sequence[Window], bag: BagWindows) -> Observations:
     """Observables of locked windows of one bag.
 
-    Stepped-sine windows near resonance count as locked windows whose phase nobody controlled: they have no row for the
+    Stepped-sine windows near resonance count as locked windows without control of the phase: they have no row for the
     phase, and are left out beyond 60° of phase.
 
     Args:
@@ -403,7 +403,7 @@ def _add_mains(run: UsedWindows, floors: Floors, table: RowTable) -> list[str]:
             found = []
             for index, window in enumerate(run.windows):
                 line = window.mains.get(hz)
-                # What the steps of a loop put into a voltage is no hum.
+                # Steps that a loop makes in a voltage are not hum.
                 stepped = line is not None and any(
                     line.amplitudes[k] > SURE_DEVIATIONS * line.std[k] for k in window.moved
                 )

@@ -196,7 +196,7 @@ def complex_amplitudes(
 # -- windows -----------------------------------------------------------------------------------------------------------
 
 
-# What is recorded of a drive takes the place of what its oscillator made where it differs by more than both.
+# The recorded drive replaces that of the oscillator where they differ by more than both of these.
 _EXACT = 1e-6
 SURE_DEVIATIONS = 4.0
 
@@ -250,11 +250,11 @@ class LockedWindow:
         return self.rows.index(name)
 
     def lean(self, name: str) -> float:
-        """What the ln of a channel's fundamental may still be off by; 0 where there is no such channel."""
+        """Possible error of the ln of a channel's fundamental; 0 without such a channel."""
         return self.leans[self.row(name)] if name in self.rows else 0.0
 
     def fundamental(self, name: str) -> float:
-        """|Y₁| of a channel in its unit; NaN where there is no such channel."""
+        """|Y₁| of a channel in its unit; NaN without such a channel."""
         return float(abs(self.amplitudes[self.row(name), 1])) if name in self.rows else math.nan
 
 
@@ -274,7 +274,7 @@ def analyse_window(
         settings: of the reading.
         view: the model, driven at the test's drive points.
         settled: whether amplitudes are taken as they are; else a transient of theirs is taken out.
-        sine: whether a drive that nobody recorded was a sine at one exciter.
+        sine: whether a drive that was not recorded was a sine at one exciter.
 
     Raises:
         BenchError: why the window cannot be used, one sentence.
@@ -376,7 +376,7 @@ def _forces(where: str, stretch: SampleStretch, view: ModelView) -> tuple[str, .
 
 
 def drive_terms(over_window: ComplexArray, single: ComplexArray, rows: Sequence[int], certain: int) -> Terms:
-    """Orders 1, 2, … of what was recorded of each exciter's drive over the fundamental of the first.
+    """Recorded orders 1, 2, … of each exciter's drive over the fundamental of the first.
 
     Args:
         over_window: harmonics (channels, H + 1).
@@ -419,7 +419,7 @@ def _settling(fundamentals: ComplexArray, channels: Sequence[MeasuredChannel]) -
 
 
 def _cycles(segment: Segment, stretch: SampleStretch, force: str) -> FloatArray:
-    """Phase of the excitation at each sample, cycles; from a fit to the force where nobody recorded it."""
+    """Phase of the excitation at each sample, cycles; from a fit to the force where it was not recorded."""
     if stretch.cycles is not None:
         return stretch.cycles
     guess = segment.frequency_hz if segment.frequency_hz > 0.0 else math.nan
@@ -476,8 +476,8 @@ def _turned(amplitudes: ComplexArray, reference: int) -> ComplexArray:
 def driven_as_recorded(windows: list[LockedWindow]) -> list[LockedWindow]:
     """Windows of one test with the recorded voltage as their drive, where phases refer to it.
 
-    Converters that hold the drive and filter what they record do so to all channels alike: beside the recorded voltage
-    forces and responses are what they are in a random test. Beside the commanded one they are half a sample late.
+    Converters hold the drive and filter the recording of all channels alike. Relative to the recorded voltage, forces
+    and responses are the same as in a random test. Relative to the commanded one they lag by half a sample.
     """
     if not any(window.turned for window in windows):
         return windows

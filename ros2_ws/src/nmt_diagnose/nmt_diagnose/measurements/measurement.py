@@ -1,7 +1,7 @@
 """What every kind of measurement is: conditions under which rows were recorded, and all that depends on the kind.
 
-Levels, lines, records and the axis are its parts: who asks about one of these asks the part, which other kinds lack. A
-further kind is a file beside the others: its class overrides what is not as it stands here.
+Levels, lines, records and the axis are its parts: who asks about one of these asks the part, which other kinds lack.
+A further kind is a file in this folder: its class overrides what differs from here.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class CurveAxis:
         map_label: of the columns of its residual map.
         along: column of the rows that stands on it.
         nodes: what levels stand at in the place of a column, by their number; empty = the column.
-        steps: what the steps are called that its rows are told apart by; empty = they have no order in size.
+        steps: name of the steps that order its rows; empty = they have no order in size.
         divisor: unit that its magnitudes are divided by; empty = by none.
         figures: of a report: key, title, and parts of the rows; ``{over}`` in a title is what the levels are.
     """
@@ -160,7 +160,7 @@ class CurveAxis:
         return self.nodes[rows.level[which]] if self.nodes.size else np.asarray(getattr(rows, self.along)[which])
 
     def thirds(self, rows: Rows, which: IntArray) -> FloatArray:
-        """What rows are told apart by, (which,); empty where that has no order in size."""
+        """Values that order rows in size, (which,); empty without such an order."""
         return {"levels": rows.amplitude[which], "lines": rows.frequency_hz[which]}.get(self.steps, np.zeros(0))
 
     def magnitude_unit(self, channel: MeasuredChannel) -> str:
@@ -175,7 +175,7 @@ class LevelSeries(NamedTuple):
     """What the levels of a measurement are to each other.
 
     Attributes:
-        ranked: they are a series over the amplitude, in which a trend is looked for.
+        ranked: they are a series over the amplitude, which is tested for a trend.
         interleaved: every second may be held out.
         rising: the highest may be held out.
     """
@@ -377,7 +377,7 @@ class ResponseLines(Driven):
         reference: what its responses are divided by: ``force``, ``base`` or ``voltage``.
         broad_band: its lines were excited together, over many modes.
         held_amplitude: its responses are compared at the amplitude of their first channel.
-        noise_group: words before a channel of what has one noise; empty = one noise of all channels.
+        noise_group: words before a channel whose rows share one noise; empty = one noise of all channels.
     """
 
     broad_band: ClassVar[bool] = False
@@ -418,7 +418,7 @@ class ResponseLines(Driven):
 
     @property
     def level_name(self) -> str:
-        """What it is called beside others of its sweep."""
+        """Its name within its sweep."""
         return self.name
 
     @property
@@ -489,9 +489,9 @@ class Record(Driven):
             input, shape (3, n), m, m/s, m/s²; empty = forces drove.
         gain_std: relative standard uncertainty of the gain of that motion and of each channel.
         frequency_hz: middle frequency of that motion, rms velocity over rms displacement, Hz.
-        size: half of what that displacement spans, m.
+        size: half of the span of that displacement, m.
         force_n: largest measured force, N.
-        force: measured force at the recorded samples, N; NaN where it is no observable.
+        force: measured force at the recorded samples, N; NaN where it is not an observable.
     """
 
     name: str
@@ -584,8 +584,8 @@ class Observations:
         rows: identity of the observables.
         values: measured values, shape (m,).
         std: standard uncertainty of each (noise; no model floor), shape (m,).
-        floor: standard deviation of what repeats of the same test or the finite exactness of estimator, lock and
-            model add, shape (m,).
+        floor: standard deviation between repeats of the same test, or from the finite accuracy of estimator, lock and
+            model, shape (m,).
         notes: sentences on what was found, left out and why (shown to the user).
         inputs: bags with their SHA-256.
         chains: tolerances of the measuring chain of each test, None = it measures as the rig file says; may be empty.

@@ -166,7 +166,7 @@ class RingDownPredictor(Predictor):
         self._own = self._places[0]
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
-        """One state per amplitude; None where there is no solution."""
+        """One state per amplitude; None where none was found."""
         parts = cache.parts(rig, self.setup)
         states: list[PeriodicState | None] = [None] * self.test.amplitudes.size
         last: PeriodicState | None = None

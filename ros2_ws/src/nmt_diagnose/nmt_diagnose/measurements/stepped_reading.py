@@ -483,7 +483,7 @@ def spread_lines(frequency: FloatArray, response: ComplexArray, wanted: int) -> 
         return np.arange(frequency.size, dtype=np.int64)
     ratio = response[1:] / response[:-1]
     turns = np.concatenate(([0.0], np.cumsum(np.abs(np.angle(ratio)) + 0.5 * np.abs(np.log(np.abs(ratio))))))
-    # The noise of single lines is no turn: half of the weight goes to the axis itself.
+    # Noise of single lines looks like a turn, so half of the weight goes to the axis itself.
     share = turns / max(float(turns[-1]), 1e-300) + np.log(frequency / frequency[0]) / math.log(
         frequency[-1] / frequency[0]
     )

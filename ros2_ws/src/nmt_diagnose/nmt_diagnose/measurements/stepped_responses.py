@@ -50,7 +50,7 @@ class SteppedResponses(ResponseLines):
             ``voltage``.
         held: what had the given amplitude: ``force``, ``base``, ``voltage``, or ``response`` (the first channel).
         lines_hz: frequencies that became observables, Hz, ascending, shape (lines,).
-        levels: amplitude of what was held at each line, in its SI unit, shape (lines,).
+        levels: held amplitude at each line, in its SI unit, shape (lines,).
         measured: measured responses, shape (lines, channels): they say how large the motion was and on which branch.
         noise: relative standard uncertainty of each line's magnitude and phase (rad), shape (lines,).
         direction: +1 while the frequency rose, −1 while it fell, 0 where it is not known.
@@ -416,7 +416,7 @@ def with_growth(test: SteppedResponses, state: SteppedSineState) -> SteppedRespo
         log_ratio = np.log(test.measured[:, 0] / state.responses[:, 0])
     further = -slope * (log_ratio.real + state.moved) + turn * log_ratio.imag - state.moved
     moved = state.moved + further / (slope**2 + turn**2 + 1.0)
-    # What is many times the noise is no error of the amplitude.
+    # A deviation of many times the noise is not an error of the amplitude.
     moved = np.where(
         np.isfinite(moved),
         moved / (1.0 + (moved / (THRESHOLDS.prediction.largest_magnitude_sigmas * test.noise)) ** 4),
@@ -513,7 +513,7 @@ def levels_of_lines(first: SteppedResponses, observations: Observations, number:
     forces = {round(float(np.log(np.max(test.levels))), 2) for test in tests}
     powers = np.array([MOTIONS[channel.quantity] for channel in first.channels])
     size = [np.abs(test.measured[:, 0]) * test.levels / (2.0 * np.pi * test.lines_hz) ** powers[0] for test in tests]
-    if len(forces) < 2:  # what does not change with the amplitude is no law
+    if len(forces) < 2:  # a law has to change with the amplitude
         return None
     loudest = max(range(len(tests)), key=lambda k: float(size[k].max()))
     peak = tests[loudest].lines_hz[int(np.argmax(size[loudest]))]

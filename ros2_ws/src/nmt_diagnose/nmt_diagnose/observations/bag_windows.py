@@ -36,7 +36,7 @@ class Window:
 
     @property
     def frequency_hz(self) -> float:
-        """Frequency of the oscillator, else the one that was written down, Hz; NaN where nobody knows it."""
+        """Frequency of the oscillator, else the one that was written down, Hz; NaN where it is unknown."""
         cycles = self.stretch.cycles
         if cycles is not None and cycles.size > 1:
             return float(cycles[-1] - cycles[0]) / (cycles.size - 1) * self.stretch.sample_rate
@@ -45,7 +45,7 @@ class Window:
 
 @dataclass(eq=False)
 class BagWindows:
-    """The windows of one bag while the kinds of measurement are asked, one after the other, what of them is theirs.
+    """The windows of one bag, from which each kind of measurement takes its own in turn.
 
     Attributes:
         name: of the bag, for tests and sentences.
@@ -53,7 +53,7 @@ class BagWindows:
         model: the rig file that is to be compared with it.
         view: the model, driven where the bag was.
         settings: of the reading.
-        sine: whether a drive that nobody recorded was a sine at one exciter; else the forces are what is known.
+        sine: whether a drive that was not recorded was a sine at one exciter; else only the forces are known.
         channels: the model's channel for each recorded one that can be trusted.
         of_decays: the same and ideal sensors for the motions that the model has none of.
         sample_rate: of its first window, Hz.

@@ -87,7 +87,7 @@ class ModelView:
         )
 
     def far_from_modes(self, frequency_hz: FloatArray) -> bool:
-        """Whether no frequency is near one of a mode, friction sticking: what is moved there is no vibration of it."""
+        """Whether no frequency is near a mode, friction sticking: motion there is not vibration of the structure."""
         modes = self.swinging_hz(math.inf, math.inf)
         ratios = [nearest_ratio(float(value), modes) for value in frequency_hz] if modes else []
         return all(max(ratio, 1.0 / ratio) > THRESHOLDS.reading.wrong_frequency_ratio for ratio in ratios)

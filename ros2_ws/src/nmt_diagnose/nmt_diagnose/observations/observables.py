@@ -25,7 +25,7 @@ class Natural(Enum):
 
 @dataclass(frozen=True)
 class PartFacts:
-    """What is said of a part of rows; tables, words, floors, noise, misfit and figures read it there.
+    """Facts of a part of rows, which tables, words, floors, noise, misfit and figures read.
 
     Attributes:
         column: what ``observables.csv`` calls it.
@@ -33,14 +33,14 @@ class PartFacts:
         unit: in which differences are printed; empty = that of the channel.
         factor: from a difference of rows to that unit.
         noise: name of the group of rows of a test with one unknown scale of the noise.
-        matters: kind of what matters (``DiagnosisSettings.matters``); empty = it stands out or not.
+        matters: kind of the size that matters (``DiagnosisSettings.matters``); empty = it stands out or not.
         smooth: a model that lacks nothing may be off by a misfit that neighbours share.
         natural: what a change of it is compared with.
         angle: whole turns do not count.
         excited: it follows the excitation; else it belongs to its channel alone.
         half: half of a complex number that it is, or of the logarithm of one; empty = of none.
         stated: key of a sidecar's ``repeatability``; empty = it has none.
-        typical_std: uncertainty where the tests at hand hold none; NaN of what is not foretold.
+        typical_std: uncertainty where the tests at hand hold none; NaN where it is never predicted ahead.
         title: of its curves; empty = the channel.
         axis: unit of its curves; empty = that of the channel.
         drawn: values of its curves.

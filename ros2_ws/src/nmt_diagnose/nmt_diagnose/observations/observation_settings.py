@@ -68,10 +68,10 @@ class ObservationSettings:
         lines: most lines of a frequency response that become observables.
         stepped_lines: the same of one with a held amplitude, for each level and direction.
         largest_std: observables of a frequency response with a larger relative uncertainty are left out: the logarithm
-            of a noisy amplitude is no longer Gaussian there.
+            of so noisy an amplitude is not Gaussian.
         decay_points: amplitudes of a ring-down at which frequency and damping are observed.
         record_rows: most samples of a record, over all channels, that become observables.
-        record_segments: segments into which a long record is cut, for what is held out.
+        record_segments: segments into which a long record is cut, for held-out data.
         floors: uncertainties that no amount of data removes.
         calibration: sheet of the measuring chain; None = what the bags say, else ordinary tolerances.
     """

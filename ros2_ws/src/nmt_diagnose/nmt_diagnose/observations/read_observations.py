@@ -42,7 +42,7 @@ def read_observations(
 
     Locked windows, random tests, ring-downs, records and reduced tables become tests; imported stepped sines and
     response curves become frequency responses at their measured force, stepped sines of the bench's own runs near
-    resonance count as locked windows whose phase nobody controlled. What :func:`~nmt_diagnose.coverage.covers` does not
+    resonance count as locked windows without control of the phase. What :func:`~nmt_diagnose.coverage.covers` does not
     take and what cannot be used is left out, with a sentence in ``notes``.
 
     Args:
@@ -55,8 +55,8 @@ def read_observations(
         readings: of earlier calls with the same model and settings, by name and digest; takes what this one reads.
 
     Raises:
-        BenchError: there is no such bag, a bag is damaged or of another rig, the model itself made it, or nothing in
-            them can be used.
+        BenchError: a bag does not exist, is damaged or of another rig, the model itself made it, or nothing in them can
+            be used.
     """
     settings = settings or ObservationSettings()
     if not bags:

@@ -99,7 +99,7 @@ class DrivenForces:
 
     @cached_property
     def found(self) -> tuple[FloatArray, FloatArray] | None:
-        """Stiffness (N/m) and damping (N s/m) of each coordinate, (r,) each; None where there is no motion."""
+        """Stiffness (N/m) and damping (N s/m) of each coordinate, (r,) each; None where no motion was found."""
         stiffness, damping, found = _settled(
             np.ascontiguousarray(self.omega), self._near, self.acting, *self.resting, tuple(self.fractions),
             self.drive_rms, self.powers, tuple(self.tables.elements), _NODES, _ABOUT,
@@ -108,13 +108,13 @@ class DrivenForces:
 
     @property
     def forces(self) -> tuple[FloatArray, FloatArray]:
-        """The same; those at rest where there is no motion."""
+        """The same; those at rest where no motion was found."""
         return self.resting if self.found is None else self.found
 
     def turned(self, forces: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Forces, (2 r,), that the motion makes which some forces let it have, stiffness first, and the steps of these.
+        """Forces, (2 r,), of the motion that some given forces cause, stiffness first, and the steps of these.
 
-        None where there is no motion.
+        None where no motion was found.
         """
         r, count = self.resting[0].size, self.acting.size
         stiffness, damping, moved, fast, most, there = _turned(
@@ -159,7 +159,7 @@ class DrivenForces:
         if other.keys != self.keys or not np.array_equal(other.acting, self.acting) or self._following is None:
             return None
         forces, turned, inverse = self._following
-        # What is no force of a motion is what it is at rest.
+        # Forces that no motion changes have their values at rest.
         r, count = self.resting[0].size, self.acting.size
         begin = forces.copy()
         begin[count:r], begin[r + count :] = other.resting[0][count:], other.resting[1][count:]
@@ -334,7 +334,7 @@ def _powers(
     at = np.empty(rows, dtype=np.int64)
     for e in range(rows):
         at[e] = e if e < r * columns else last + e - r * columns
-    # Only what is needed, and beside each other.
+    # Only the rows that are needed, contiguous in memory.
     constants, slopes, constant_part = fractions.constants[:, at], fractions.slopes[:, at], fractions.constant_part[at]
     re, im = np.empty(rows), np.empty(rows)
     closed = np.empty((r, columns), dtype=np.complex128)

@@ -1,4 +1,4 @@
-"""Compiled stepping of what moves freely beside an imposed motion: its poles, and local forces by Newton's method."""
+"""Compiled stepping of free coordinates under an imposed motion: their poles, and local forces by Newton's method."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nmt_diagnose.prediction.timed_elements import TimedTables
 from nmt_rig.model.aft import ElementTables, LocalTables
 
 MOTIONS_GIVEN = 3
-"""Inputs beside the local forces: displacement, velocity and acceleration of the drive point."""
+"""Inputs in addition to the local forces: displacement, velocity and acceleration of the drive point."""
 
 
 @njit(cache=True)
@@ -24,7 +24,7 @@ def _follow(
     elements: ElementTables,
     timed: TimedTables,
 ) -> FloatArray:
-    """Channels (c, samples); each coordinate is where the motion takes it, and what swings beside it."""
+    """Channels (c, samples); each coordinate is the sum of its imposed and its free motion."""
     decay, early, late, outputs, velocities, direct = model
     count, steps_total, given = decay.size, motion.shape[1], motion.shape[0]
     c = direct.shape[0] - r
@@ -87,7 +87,7 @@ def follow(
         motion: displacement, velocity and acceleration of the drive point at the steps, (3, n).
         stride: steps from one sample to the next.
         r: number of coordinates.
-        model: recursion of the poles of what moves freely; its inputs are the local forces and the motion.
+        model: recursion of the poles of the free coordinates; its inputs are the local forces and the motion.
         factor: force factor and its dependence on displacement.
         tables: local elements by coordinate.
         timed: further elements, with their strengths at the steps.

@@ -1,8 +1,8 @@
-"""State in which a record begins: read off its first samples, with what they leave open.
+"""State in which a record begins: estimated from its first samples, with its uncertainty.
 
-Nobody brings a structure to rest for a recorder. What the model would have to start with is found by least squares over
-the first samples, which are not among the observables; the zero of each sensor is free there. What that leaves open
-are errors of the record like those of its measuring chain.
+A structure is rarely at rest when a recording begins. The state is found by least squares over the first samples, which
+are not among the observables; the zero of each sensor is free there. The uncertainty of the state counts as errors of
+the record, like those of its measuring chain.
 """
 
 from __future__ import annotations

@@ -35,9 +35,9 @@ from nmt_diagnose.prediction.rig_tables import Forces, RigTables, any_nonlinear,
 FUNDAMENTAL = 1
 # Ways to close the balance.
 LOCKED, DRIVEN, FREE = 0, 1, 2
-# What has the given amplitude, where it is no channel: the drive.
+# Index in the place of a channel where the drive has the given amplitude.
 DRIVE_HELD = -1
-# Columns of what is given for a level, see :func:`target_rows`.
+# Columns of the targets of a level, see :func:`target_rows`.
 AMPLITUDE, PHASE, OMEGA, WEIGHT = 0, 1, 2, 3
 
 _HALVINGS = 8

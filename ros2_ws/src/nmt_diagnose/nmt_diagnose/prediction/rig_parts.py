@@ -397,7 +397,7 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
                 f"the diagnosis' model does not cover local element {section.kind}; leave it out of the model."
             )
         behind = section.side == "exciter"
-        # A moment is no part of the lateral force that the sensor measures.
+        # The lateral force that the sensor measures does not include a moment.
         measured = behind and not section.rotation
         groups = outside if measured else inside
         key = f"{section.point} {section.other_point} {section.rotation} {measured}"

@@ -29,7 +29,7 @@ from nmt_rig.model.local_elements.element import (
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.structure import Structure
 
-# Kinds beside those of smooth elements, which are positive.
+# Kinds of further elements; those of smooth elements are positive.
 BRISTLES, SLIDER, STOP, SLACKED = -1, -2, -3, -4
 _PARAMETERS = 6
 # Columns of a slider with slack.
@@ -45,7 +45,7 @@ class TimedTables(NamedTuple):
         kinds: (n,); rows start[i] … start[i + 1] act on coordinate i.
         parameters: (n, 6).
         start: (r + 1,).
-        strengths: (n, steps), or (n, 1) of what does not change.
+        strengths: (n, steps), or (n, 1) where they are constant.
     """
 
     kinds: IntArray
@@ -64,7 +64,7 @@ class TimedRow:
         share: what a unit of the channel adds to it.
         channel: that it follows; empty = none.
         value: of the channel at which it adds nothing.
-        floor: smallest strength; with that of the element beside it nothing is below zero.
+        floor: smallest strength; its sum with the parallel element is not below zero.
         stiffness, damping: at rest, N/m and N s/m, with all sliders sticking.
         friction: whether that stiffness goes where it slides.
     """
@@ -194,7 +194,7 @@ def bristle_step(
     ways = abs(way) / mean
     left = np.exp(-ways)
     change, distance = side * (reach - former), before[e, 1] - side * former
-    # Mean of what is left of the start along the step, and its derivative.
+    # Mean of the decaying initial part along the step, and its derivative.
     lag, by_ratio = 1.0 - 0.5 * ways, -0.5
     if ways > 1e-6:
         lag = (1.0 - left) / ways

@@ -1,1 +1,1 @@
-"""What a diagnosis says: sentences, rows of diagnosis.json, maps and tests of what is left."""
+"""Results of a diagnosis: sentences, rows of diagnosis.json, maps and tests of residuals."""

@@ -68,13 +68,13 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
 def led_by_law(
     from_law: Sequence[str], text: Sequence[str], law: LawReading, where: Sequence[PlaceShare]
 ) -> tuple[str, ...]:
-    """Sentences of a law before those of what comes nearest, which say nothing of another place.
+    """Sentences of a law before those of the nearest explanation, without the one that names another place.
 
     Args:
         from_law: sentences of the law.
         text: the others; the first is of the places where there are any.
         law: the law.
-        where: places that the others tell.
+        where: places that the others name.
     """
     elsewhere = bool(where) and not {one.place for one in law.laws} & set(where[0].detail.split(" + "))
     first = from_law[0] if elsewhere else f"{from_law[0]} {text[0]}"

@@ -13,14 +13,14 @@ from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.say.residual_map import observables_of, unit_of_channel
 from nmt_diagnose.thresholds import THRESHOLDS
 
-# Observables that are named with what is left.
+# Observables that are named with the remainder of a gap.
 _NAMED_OBSERVABLES = 3
 
 _BANDS = ("lowest", "middle", "highest")
 
 
 def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: BoolArray) -> Remainder | None:
-    """What is left of a gap; None where that is less than 1 % of it, not known, or no more than the noise before.
+    """The remainder of a gap; None where that is less than 1 % of it, not known, or no more than the noise before.
 
     Args:
         observations: the real side.
@@ -54,7 +54,7 @@ def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: Boo
 
 
 def _levels(observations: Observations, number: int, after: FloatArray, selected: IntArray) -> str:
-    """The third of a test's levels (or lines) where most of what is left lies; empty where there is none."""
+    """The third of a test's levels (or lines) that holds most of the residual; empty where none does."""
     test = observations.tests[number]
     place = test.axis.thirds(observations.rows, selected)
     steps = np.unique(place)

@@ -1,4 +1,4 @@
-"""Residual map: what is left per test, level, channel and harmonic; and per observable in engineering units."""
+"""Residual map: residuals per test, level, channel and harmonic; and per observable in engineering units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Focused tests of what an explanation leaves: each looks for one kind of structure that noise does not have.
+"""Focused tests of the residuals of an explanation, each for one kind of structure that noise does not have.
 
 A global χ² over thousands of rows cannot see an effect of a few standard deviations. These tests look where an effect
 would leave its trace; Holm's method combines them.

@@ -158,9 +158,9 @@ def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
 
 
 def is_located(gap: Gap, law: LawReading | None) -> bool:
-    """Whether places of an unknown gap are told: an effect bridges a third of it, or a law is stated.
+    """Whether places of an unknown gap are reported: an effect bridges a third of it, or a law is stated.
 
-    Of explanations that leave most of a gap the less bad one says nothing of where it lies.
+    If every explanation leaves most of a gap, the best of them does not locate it.
     """
     lawful = law is not None and law.is_stated
     return lawful or gap.bridged >= THRESHOLDS.verdict.nearest_closed_share

@@ -109,13 +109,13 @@ def sentences(
 
 
 def _farthest(calibration: Sequence[Recalibrated]) -> str:
-    """The parameters that moved most beside their uncertainty, from and to."""
+    """The parameters that moved most relative to their uncertainty, from and to."""
     moved = sorted(calibration, key=lambda item: -abs(item.sigmas))[:3]
     return "; ".join(f"{m.name} {value_text(m.start, math.nan)} to {value_text(m.to, m.std, m.unit)}" for m in moved)
 
 
 def _beside(ranking: Sequence[Ranked]) -> str:
-    """What a second effect beside a partial explanation closes, where that has been fitted."""
+    """The share of the gap that a partial explanation closes with a second effect, where that has been fitted."""
     head = ranking[0].effect.split(" + ")
     for other in ranking[1:] if not ranking[0].adequate else ():
         effects = other.effect.split(" + ")

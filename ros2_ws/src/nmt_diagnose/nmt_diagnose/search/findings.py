@@ -65,13 +65,13 @@ class Findings:
         named: explanations by one and two effects, the best first.
         hypotheses: the competition.
         comparison: probabilities.
-        sources: what something unnamed at each place would explain beside the model alone.
+        sources: what an unnamed cause at each place would explain in addition to the model alone.
         inadequate: what the model has to be corrected for before effects can be told.
         factors: channels that were recorded at another scale or sign.
-        doubtful: modes that the model may lack, of which nothing is left that matters.
+        doubtful: modes that the model may lack and whose residual does not matter.
         left_out: explanations that were fitted and do not compete.
-        law: of the local force that the model lacks, read from held levels; None where that was not looked for.
-        scanned: scores of all candidates on top of the model alone; empty where nothing was looked for.
+        law: of the local force that the model lacks, read from held levels; None without such a reading.
+        scanned: scores of all candidates on top of the model alone; empty without a search.
         scored: the best explanation; the model alone where there is no gap.
         scores: computes those of the candidates on top of it.
     """
@@ -95,12 +95,12 @@ class Findings:
 
     @property
     def unexplained(self) -> tuple[float, str]:
-        """Largest share of a channel's signal or a test's damping that the model alone leaves; and of what."""
+        """Largest unexplained share of a channel's signal or a test's damping under the model alone; and its name."""
         return share_left(self.data.observations, self.null.fit.errors.values, self.data.used)
 
     @cached_property
     def contradiction(self) -> Objection | None:
-        """What the model alone leaves that no gap is denied beside."""
+        """Residual of the model alone that forbids the verdict "no gap"; or None."""
         return contradiction(self.data, self.null, self.data.observations.matters)
 
     @cached_property
@@ -180,7 +180,7 @@ def find(
     named = [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in named]
     leading = Hypotheses(data, null, named, candidates, [], []).best
     if leading is not None and leading.small:
-        # What is small is so beside every cause: rivals get it, too.
+        # An effect that is small with the leading cause is small with every other: rivals get it, too.
         more = search.with_small(leading, named)
         named += [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in more]
     beside = sources(data, null, len(parameters))
@@ -264,7 +264,7 @@ def _about_best(
     search.lost |= before.lost
     near, far = search.in_reach(named)
     elsewhere = _lags(near, far)
-    # What two effects do together is judged beside what one of them does.
+    # The evidence of two effects together is compared with that of one of them alone.
     members = [it for it in far if set(it.fitted.causes) < set(named[0].fitted.causes)][:1]
     near, far = search.all_again([*near, *members]), [it for it in far if it not in members]
     # An effect that does nothing may have led the model's own parameters on to their optimum.

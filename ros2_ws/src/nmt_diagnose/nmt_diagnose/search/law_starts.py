@@ -124,7 +124,7 @@ def effects_of_law(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
         return [("second_friction_contact", _friction(stiffness, force))]
     if any(term.kind in ("friction", "weakening friction") for term in law.at_middle):
         force = sum(term.coefficient for term in law.at_middle if term.unit == "N")
-        # A slider that sticks at the smallest level is no dry friction there.
+        # A slider that sticks at the smallest level does not act as dry friction there.
         smallest = min((0.5 * float(np.ptp(loop.displacement)) for loop in law.loops), default=law.valid_to_m)
         shares = THRESHOLDS.law
         slip = min(shares.dry_slip_share * law.valid_to_m, shares.dry_stick_share * smallest)

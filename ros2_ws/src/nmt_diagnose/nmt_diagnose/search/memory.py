@@ -2,8 +2,8 @@
 
 Recordings are read once. Explanations that competed are fitted from where they stood. One that was far behind on the
 recordings before cannot catch up as long as the best of those that competed leaves noise only on all of them: it is
-not fitted again, and nothing else is looked for where a large gap had been searched for. Where the best one leaves
-more, everything is looked for anew.
+not fitted again, and a gap for which the library was searched is not searched for anew. Where the best one leaves more,
+the whole search is repeated.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class Memory:
         readings: observations of a recording by its name and digest.
         near: explanations that competed.
         far: explanations that were fitted and lay far behind the best.
-        searched: all that the recordings before showed was looked for in the library.
+        searched: the library was searched for everything that the earlier recordings showed.
     """
 
     readings: dict[tuple[str, str], Observations] = field(default_factory=dict)

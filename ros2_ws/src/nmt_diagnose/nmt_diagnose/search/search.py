@@ -525,7 +525,7 @@ class Search:
         return sorted(result, key=lambda pair: -pair.fit.log_evidence)
 
     def with_small(self, leading: FittedExplanation, others: Sequence[FittedExplanation]) -> list[FittedExplanation]:
-        """Other explanations by one effect with the small effects of the leading one beside it, fitted to the end."""
+        """Other explanations by one effect, with the small effects of the leading one added, fitted to the end."""
         known = {explanation.fitted for explanation in others}
         found = []
         for k in sorted(leading.small):

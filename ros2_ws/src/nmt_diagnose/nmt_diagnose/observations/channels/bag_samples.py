@@ -69,13 +69,13 @@ class SampleStretch:
 
 
 def read_windows(bag: Bag, windows: Sequence[Segment]) -> list[SampleStretch | None]:
-    """Samples of what can be used of several windows, in one pass.
+    """Usable samples of several windows, in one pass.
 
     Which windows can be used, and how far, says :func:`nmt_record.windows.segments.segments`; here the channels follow.
 
     Args:
         bag: an opened bag.
-        windows: windows of which something can be used.
+        windows: windows that are usable at least in part.
 
     Returns:
         One for each window; None where the bag holds no sample of it.

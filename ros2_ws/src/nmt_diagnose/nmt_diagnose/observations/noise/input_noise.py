@@ -1,9 +1,9 @@
-"""Noise of a measured input: what the model is driven by although the structure never was.
+"""Noise of a measured input: it drives the model and never drove the structure.
 
 White noise of the input is incoherent with every response, by as much at every frequency. What else makes a response
 incoherent, its own noise, nonlinear distortions, leakage of a resonance, comes on top and not everywhere. So the noise
-is no larger than the least of S_uu (1 − γ²), γ² the coherence (Bendat and Piersol, Random Data (2010), ch. 9), and what
-the model makes of it no larger than what is incoherent in the response where the model makes most of it.
+is at most the least of S_uu (1 − γ²), γ² the coherence (Bendat and Piersol, Random Data (2010), ch. 9). Propagated to a
+response by the model, it is at most the incoherent part of that response at the lines that pass most of it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 _SEGMENTS = 16
 _WIDEST_SHARE = 0.3  # of lines from a resonance, over its frequency
 _FINEST_SHARE = 1e-5
-_COMPARED_SHARE = 0.9  # share of what the model makes of the noise that is compared with what is incoherent
+_COMPARED_SHARE = 0.9  # share of the propagated noise whose lines are compared with the incoherent response
 _LOBE = 2  # lines of a spectrum over which its window spreads a resonance
 
 

@@ -15,7 +15,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
 _ROUNDS = 2  # along the motion that a law makes
-_PLACES = 2  # at which more than one block is looked for
+_PLACES = 2  # at which more than one block is tried
 
 
 def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
@@ -75,8 +75,8 @@ def read_driven_law(rig: Rig, observations: Observations) -> LawReading | None:
 def _along_its_motion(search: RecordSearch, law: RecordLaw) -> RecordSearch:
     """The search along the motion that a law makes, where the law leaves less along it.
 
-    Where no sensor is at the place its motion under an unknown force is much noise, under a law it is the model's.
-    Blocks beside one another would explain that noise.
+    Without a sensor at the place, its motion under an unknown force is noisy; under a law it is the model's.
+    Several blocks together would explain that noise.
     """
     for _ in range(_ROUNDS):
         if law.score <= THRESHOLDS.law.second_from_score or not law.terms:

@@ -170,7 +170,7 @@ class DrivenPlant:
 
 @dataclass(frozen=True)
 class UnknownMotion:
-    """What measured responses say of the motion beside that under the measured force, at the recorded samples.
+    """Motion that measured responses add to that under the measured force, at the recorded samples.
 
     Attributes:
         x, v: along the directions of the plant, (r + p, samples), m and m/s.

@@ -14,7 +14,7 @@ from nmt_rig.model.local_elements import SECTIONS
 
 _SLACK_SHARES = (0.2, 0.4, 0.6, 0.8)  # of the slip displacement
 _WAVES = (1.5, 40.0, 0.2)  # of cogging along the way from end to end: fewest, most, step
-_CLOSED = (0.01, 0.8)  # of the samples of a record: what is closed along nearly all of it is no contact
+_CLOSED = (0.01, 0.8)  # of the samples of a record: least and largest share along which a contact is closed
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Block:
 
     @property
     def bounded(self) -> bool:
-        """Whether its size is looked for between its neighbours: beyond them it is another block."""
+        """Whether its size is fitted between its neighbours: beyond them it is another block."""
         return self.contact or self.terms[0].kind == "cogging"
 
     @property
@@ -55,7 +55,7 @@ class Block:
 
 
 def blocks(x: FloatArray, v: FloatArray) -> dict[str, list[Block]]:
-    """Blocks by family along the motion of a place at all levels; of each family the best is looked for.
+    """Blocks by family along the motion of a place at all levels; the best of each family is chosen later.
 
     Args:
         x, v: displacement (m) and velocity (m/s), (L, samples).
@@ -142,7 +142,7 @@ def _opens(contact: Term, x: FloatArray) -> bool:
 
 
 def _alone(form: LawForm, a: float, s: float) -> list[Block]:
-    """Blocks of one term, by largest displacement and speed; none of what is only tried beside others."""
+    """Blocks of one term, by largest displacement and speed; none of a term that is only tried with others."""
     if form.exponent or "{power}" in form.formula:
         return [Block(form.family, (Term(form.kind, n),)) for n in form.starts or (form.exponent,)]
     sizes = (s if form.by_speed else a) * np.array(form.starts)

@@ -1,7 +1,7 @@
 """A law as local elements of a rig file: a sum at one place, passive where its strengths are not negative.
 
-A strength that follows a channel is that of an element that is ``modulated_by`` it, about the middle of what was
-visited.
+A strength that follows a channel is that of an element that is ``modulated_by`` it, about the middle of the visited
+range.
 """
 
 from __future__ import annotations

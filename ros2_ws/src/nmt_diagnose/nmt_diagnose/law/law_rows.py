@@ -8,8 +8,8 @@ under test and of modes near it, y the part of all others, each level has the co
 * Y_h = −Σ φ_i p_i G_h / D_i(hω) for h = 2 … H, in the output domain,
 
 φ⁺ the pseudo-inverse that takes q out of the responses (least squares over the channels). The drive is a force −F at
-each drive point, so that what it does can be taken off all rows; what is left is the missing force and errors of chain
-and model.
+each drive point, so that its part is taken off all rows; the remainder is the missing force and errors of chain and
+model.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from nmt_rig.rig import ChainSection, Rig
 
 Forces = list[tuple[FloatArray, ComplexArray]]
 _LEAST_STIFFNESS = 0.3
-"""Of a place with its law over that without it, up to which a mean is looked for."""
+"""Smallest stiffness of a place with its law over that without it, for the step of its mean displacement."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class LawSearch:
     def _at(
         self, place: LawPlace, motion: ComplexArray, problem: ConvexFit, first: Candidate | None
     ) -> list[Candidate]:
-        """The best block of each family at a place, beside a first law."""
+        """The best block of each family at a place, added to a first law where there is one."""
         x, v = sampled(motion, self.rows.levels.omega)
         before = self.law_columns(first) if first is not None else None
         parts = first.parts if first is not None else ()
@@ -224,7 +224,7 @@ class LawSearch:
         moved_on = self.forces(replace(candidate, motions=tuple(motions)))[number][1][:, 0]
         stiffness = (moved_on - forces[number][1][:, 0]).real / shift
         compliance = (place.participation**2 / self.rows.denominators[0]).sum(axis=1).real
-        # Where the law takes the equilibrium away there is no step to go.
+        # Where the law takes the equilibrium away the step is limited.
         share = 1.0 / np.maximum(1.0 + compliance * stiffness, _LEAST_STIFFNESS)
         motion[:, 0] = before[:, 0] + share * (motion[:, 0] - before[:, 0])
         return motion
@@ -255,7 +255,7 @@ class LawSearch:
         return place, block
 
     def seconds(self, first: Candidate) -> list[Candidate]:
-        """Blocks at all places beside a first law, the best first."""
+        """Pairs of a first law and a block at any place, the best first."""
         forces = self.forces(first)
         problem = self.problem(forces)
         known = self._known(forces)
@@ -272,7 +272,7 @@ class LawSearch:
         return sorted(found, key=lambda candidate: candidate.score)
 
     def fewer(self, pair: Candidate) -> list[Candidate]:
-        """The laws with one power less: a polynomial that was chosen beside another first law may have one too many."""
+        """The laws with one power less: a polynomial that was chosen with another first law may have one too many."""
         problem, found = self.problem(self.forces(pair)), []
         for k, (place, block) in enumerate(pair.parts):
             for term in block.terms if len(block.terms) > 1 else ():

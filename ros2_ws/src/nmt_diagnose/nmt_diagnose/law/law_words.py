@@ -15,7 +15,7 @@ _SMALL_SHARE = 0.05
 _SLACK_SHARE = 0.2
 """The same of sliders with slack: a grid of sliders takes some of them for its corners."""
 _SLIDERS = ("slider", "slack slider", "bristle", "weakening bristle")
-_PAST_THE_FALL = 5.0  # speed at which nothing is left of what falls with it, over the largest speed of its formula
+_PAST_THE_FALL = 5.0  # speed at which a force that falls with it has gone, over the largest speed of its formula
 _ONE_RATIO = 1.6
 """Ratio of slip displacements up to which sliders of a grid stand for one between them."""
 

@@ -43,9 +43,10 @@ class ModalFrame:
         modes: numbers of the mode under test and, after it, of those so near that their motion is measured, too, T.
         drive: participation of the drive points, (E, n).
         sensors: participation of the channels' points, (C, n).
-        elements: local elements with a force beside the linear one.
-        base: acceleration of the base per unit of what drives it, m/s² for 1 N or 1 m/s²; 0 where no table does.
-        carried: displacement of the channels' points per displacement of the base, beside that of the structure, (C,).
+        elements: local elements with a nonlinear force.
+        base: acceleration of the base per unit of the drive, m/s² for 1 N or 1 m/s²; 0 without a shaking table.
+        carried: displacement of the channels' points per displacement of the base, in addition to that of the
+            structure, (C,).
     """
 
     structure: Structure
@@ -66,7 +67,7 @@ class ModalFrame:
 
     @classmethod
     def of(cls, rig: Rig, levels: HeldLevels) -> ModalFrame | None:
-        """The frame of a rig for the levels of a test; None where its structure alone is no linear one with points."""
+        """The frame of a rig for the levels of a test; None unless its structure alone is linear and has points."""
         if any(isinstance(section, AttachmentSection) for section in rig.local_elements):
             return None
         try:
@@ -144,7 +145,7 @@ class ModalFrame:
         w = order * np.asarray(omega)[:, np.newaxis]
         with np.errstate(invalid="ignore"):
             found = self.omega**2 - w**2 + 2j * self.zeta * self.omega * w
-        # What a mean force does to a free body is no vibration.
+        # A mean force on a free body causes no vibration.
         return np.where(np.abs(found) > 0.0, found, np.inf)
 
     def others(self, omega: FloatArray) -> ComplexArray:
@@ -176,7 +177,7 @@ class ModalFrame:
 
 
 def _base(rig: Rig, structure: Structure, levels: HeldLevels) -> float:
-    """Acceleration of the base per unit of what drives it: itself, or the force that stands for it; 0 without one."""
+    """Acceleration of the base per unit of its drive: itself, or the force that stands for it; 0 without a base."""
     if levels.over_base:
         return 1.0
     table = build_table(rig, structure) if levels.ratio is None else None
@@ -197,14 +198,14 @@ def _drive(structure: Structure, levels: HeldLevels, base: float) -> FloatArray:
 
 
 def _carried(rig: Rig, structure: Structure, levels: HeldLevels) -> FloatArray:
-    """Share of the motion of the base that sensors see beside that of the structure, (C,)."""
+    """Share of the motion of the base that sensors see in addition to that of the structure, (C,)."""
     if not (isinstance(rig.exciter, ShakingTableSection) and rig.exciter.responses == "absolute"):
         return np.zeros(len(levels.channels))
     return np.array([structure.base_motion.get(channel.point, 1.0) for channel in levels.channels])
 
 
 class KnownForces:
-    """Forces of the model's own elements beside their linear part.
+    """Nonlinear part of the forces of the model's own elements.
 
     Args:
         elements: the elements, of one or several directions.
@@ -222,12 +223,12 @@ class KnownForces:
             self.damping[where] += element.linear_damping
 
     def of(self, motion: ComplexArray, omega: FloatArray, beside: KnownForces | None = None) -> ComplexArray:
-        """Harmonics of the forces beside those of the elements at rest, N, (r, L, ORDERS + 1).
+        """Harmonics of the forces less the linear ones of the elements at rest, N, (r, L, ORDERS + 1).
 
         Args:
             motion: harmonics at the elements' coordinates, m, (r, L, ORDERS + 1).
             omega: rad/s, (L,).
-            beside: elements whose linear part is left out; None = these themselves.
+            beside: elements whose linear part is subtracted; None = these themselves.
         """
         linear = beside or self
         result = np.zeros(motion.shape, complex)

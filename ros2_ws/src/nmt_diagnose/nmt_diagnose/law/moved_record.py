@@ -1,9 +1,9 @@
 """Records of imposed motion as samples of the force that the model lacks.
 
-What is left of the measured force by the model that is moved as measured is the missing force itself, at the point that
-is moved. Parts of the records stand for levels, each of which is predicted by a fit to the others. What chain and model
-are ordinarily off by are columns under their priors: gains and zeros of motion and force, and every parameter of the
-model. A force that does not change is no law: it is a preload or the zero of the cell, and free.
+The model is moved as measured. The residual of the measured force is the missing force itself, at the point that is
+moved. Parts of the records stand for levels, each of which is predicted by a fit to the others. Ordinary errors of
+chain and model are columns under their priors: gains and zeros of motion and force, and every parameter of the model.
+A constant force is not a law: it is a preload or the zero of the cell, and free.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def nuisance_columns(
         rig: the model.
         known: its own elements whose force is not linear; None without.
         motion: of their coordinates, m, (r, L, ORDERS + 1).
-        forces: participation and harmonics of laws beside them.
+        forces: participation and harmonics of laws that act in addition.
     """
     frame, levels, limits = rows.frame, rows.levels, THRESHOLDS.law
     size, channels = rows.sigma.shape[1], len(levels.channels)
@@ -82,7 +82,7 @@ def nuisance_columns(
     sensors = {c.point: c.name for c in reversed(levels.recorded) if c not in levels.channels}
     force_names = [sensors.get(point, "") for point in levels.drive_points]
     for k, (name, tolerance) in enumerate([(c.name, _tolerance(rows, c.name)) for c in levels.channels]):
-        # Near a node of the mode its form is off by a share of what it is elsewhere.
+        # Near a node the error of the mode's form is a share of its size elsewhere.
         form = limits.form_std * max(1.0, typical[0] / max(abs(rows.shapes[k, 0]), 1e-6 * typical[0]))
         column = at_channel(k, q)
         # The form of the mode may be off, too, and turned by dampers.

@@ -116,7 +116,7 @@ class LawReading:
         before, after: rms of whitened rows of levels that were left out, without and with the laws.
         closed_inside: share of the gap closed on levels that were left out between the lowest and the highest.
         closed_above: the same of the top two levels, by a fit to those below.
-        refusals: why the law is not told; empty = it is told.
+        refusals: why the law is not reported; empty = it is reported.
         of_record: parts of one record stand for levels.
         closed_by_file: share of the gap that the rig file with the laws closes by the prediction that later commands
             make with it: of a record on the parts of the largest motion, which its strengths then do not know; of
@@ -140,7 +140,7 @@ class LawReading:
 
     @property
     def is_stated(self) -> bool:
-        """Whether the law is told."""
+        """Whether the law is reported."""
         return bool(self.laws) and not self.refusals
 
     @property
@@ -149,10 +149,10 @@ class LawReading:
         return self.is_stated and not self.closed_by_file <= 0.0
 
     def closes_as_much_as(self, share: float, low: float) -> bool:
-        """Whether what was held out is told no worse than by what closes a share of it, of which ``low`` is certain.
+        """Whether the law predicts held-out data as well as an explanation that closes a share of the gap.
 
-        By the file, as what it competes with, where it is within the interval of the share; where that is not known,
-        and of records, by levels that were left out.
+        The share that the rig file with the law closes has to reach ``low``, the lower end of the interval of the other
+        share. Of records, and where it is not known, levels that were left out have to exceed that share itself.
         """
         if self.of_record or not math.isfinite(self.closed_by_file):
             return min(self.closed_inside, self.closed_above) > share
@@ -262,12 +262,12 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
 
 
 def _with_second(search: LawSearch, first: Candidate) -> Candidate:
-    """The law with a second one beside it where the score falls enough by it, or where the first bends the model."""
+    """Adds a second law if it improves the score, or if the first needs implausible nuisance parameters."""
     limits = THRESHOLDS.law
     bent = bool(_pulled(first))
     if not bent and first.score <= limits.second_from_score:
         return first
-    # What a law leaves that closes nearly all is often its own form, and then falls by a part only.
+    # The residual of a law that closes nearly all is often due to its form, and then falls by a part only.
     enough = closed_share(search.null.score, first.score) >= limits.single_closure
     ratio = limits.clear_score_ratio if enough else limits.second_score_ratio
     found = [search.again(pair) for pair in search.seconds(first)[:4]]
@@ -296,7 +296,7 @@ def _stds(candidate: Candidate) -> FloatArray:
     m = candidate.fit.nuisance.size
     result = np.zeros(candidate.fit.coefficients.size)
     active = candidate.fit.coefficients != 0.0
-    # What is left beyond the stated noise is noise, too.
+    # A residual beyond the stated noise counts as noise, too.
     scale = max(candidate.score, 1.0)
     result[active] = scale * np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[m:], 0.0))
     return result
@@ -325,9 +325,9 @@ def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
 
 
 def _slipping(search: LawSearch, best: Candidate, count: int) -> BoolArray:
-    """Terms of a law that its lowest levels can tell, (k,): of many sliders those that slip there.
+    """Terms of a law that its lowest levels determine, (k,): of many sliders those that slip there.
 
-    What does not slip is a spring to them, and many such are told from each other by nothing.
+    A slider that sticks is a spring at these levels, and several such cannot be distinguished.
     """
     result = []
     for (_, block), motion in zip(best.parts, best.motions, strict=True):

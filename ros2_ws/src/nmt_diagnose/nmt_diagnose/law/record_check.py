@@ -23,11 +23,11 @@ class RecordCheck:
     Attributes:
         record: name of the test.
         time_s: of the rows of the part of the largest motion, from the begin of the record, s.
-        measured: missing force at these, errors of chain and model taken off as the other parts tell them, N.
+        measured: missing force at these, corrected for errors of chain and model that the other parts determine, N.
         std: standard uncertainty of each, N.
         line_s, line: time and force of the law whose strengths are those of the other parts, N.
         lags_s: distances of rows, s.
-        without, with_law: autocorrelation at these of what all parts leave.
+        without, with_law: autocorrelation at these of the residuals of all parts.
         band: two standard deviations of it where rows are independent.
     """
 
@@ -60,7 +60,7 @@ def check_of(search: RecordSearch, best: RecordLaw) -> RecordCheck:
     rate = record.rate
     dense = np.arange(at[0], at[-1] + 1, max(1, (at[-1] - at[0]) // _LINE))
     force = np.sum([c * record.force(term) for term, c in zip(terms, strengths, strict=True)], axis=0)
-    # A preload is no part of a law, and its line has none.
+    # A preload is not part of a law: the measured force takes the mean of the law's line.
     measured = measured + np.mean(force[at] - measured)
     left = best.fit.corrected - records.columns(terms) @ best.fit.coefficients
     lags, without = autocorrelation(records, search.null.fit.corrected)

@@ -1,8 +1,8 @@
-"""How late the force of records of imposed motion comes after the motion, beside any law.
+"""Delay of the force of records of imposed motion behind the motion, whatever the law.
 
 A force that comes late turns springs into dampers and dampers into masses, so laws that are not there explain it. The
-measured force is moved sample by sample, and a sum of many laws, which need not be told apart, is fitted at each place:
-where it leaves least, force and motion belong together.
+measured force is moved sample by sample, and a sum of many laws, which need not be distinguishable, is fitted at each
+shift. The shift with the smallest residual is the delay.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ _TURN = 0.25  # of the motion, that a delay is not more than
 
 
 def delay_of(records: MovedRecords, worth: FloatArray, ratio: float) -> int:
-    """Samples of the force by which it comes later than the motion, negative where it is early; 0 where that is not
-    told.
+    """Samples by which the force comes later than the motion, negative where it is early; 0 without a clear delay.
 
     Args:
         records: as they were recorded.
         worth: what their errors of chain and model are divided by, (m,).
-        ratio: of what is left to that without a delay from which on one is told.
+        ratio: largest residual over that without a delay at which a delay is accepted.
     """
     terms = _sum_of_laws(records)
     columns, signed = records.columns(terms), np.array([term.signed for term in terms], bool)

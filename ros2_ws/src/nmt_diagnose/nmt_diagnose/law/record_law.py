@@ -72,7 +72,7 @@ def read_record_law(rig: Rig, observations: Observations) -> LawReading | None:
             ),
             late=late.late,
         )
-    # A delay is a fault, and hysteresis that no term has looks like one: it has to be the larger part of what is left.
+    # Unmodelled hysteresis looks like a delay, so a delay is accepted only if it clearly lowers the residual.
     clear = late.is_stated and late.after <= THRESHOLDS.law.clear_score_ratio * in_step.after
     return late if clear else in_step
 
@@ -90,12 +90,12 @@ def reading_of(
     tried: Sequence[RecordLaw],
     other_places: Callable[[str], tuple[str, ...]] = _none,
 ) -> LawReading:
-    """The law of records, or why none is told.
+    """The law of records, or why none is reported.
 
     Args:
         rig: the model as given.
         search: of the law.
-        tried: the law that was found and those that it was compared with; nothing where none was looked for.
+        tried: the law that was found and those that it was compared with; nothing without a search.
         other_places: places at which a law of a family does nearly as well.
     """
     limits, records = THRESHOLDS.law, search.records

@@ -78,11 +78,11 @@ class RecordSearch:
         self.null = self._weighed(self._weighed(None))
 
     def _weighed(self, law: RecordLaw | None) -> RecordLaw:
-        """The law, none at first, with its rows counted as what it leaves is worth.
+        """The law, none at first, with its rows weighted by the information in its residual.
 
-        What neighbours leave alike counts once, and what is left beyond the stated noise is noise, too. Thousands of
-        samples of a wrong law would otherwise bend chain and model by tens of their standard deviations. Without a law
-        nothing keeps gains from taking off all of motion and force: errors stay ordinary there.
+        Correlated residuals of neighbours count once, and a residual beyond the stated noise counts as noise. Thousands
+        of samples of a wrong law would otherwise bend chain and model by tens of their standard deviations. Without a
+        law nothing keeps gains from taking off all of motion and force: errors stay ordinary there.
         """
         worth = 1.0 if law is None else self._scale(law)
         self.worth = np.where(self._free, 1.0, worth)
@@ -193,7 +193,7 @@ class RecordSearch:
         return self.law([column.block for column in found if isinstance(column, BlockColumns)])
 
     def late(self, law: RecordLaw) -> float:
-        """Samples by which the force comes later than the motion, beside a law."""
+        """Samples by which the force comes later than the motion, fitted together with a law."""
         parts = [
             value
             for error, value in zip(self.records.names, law.fit.nuisance / self.worth, strict=True)

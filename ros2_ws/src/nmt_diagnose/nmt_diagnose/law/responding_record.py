@@ -1,7 +1,7 @@
-"""Driven records as samples of what a force that the model lacks makes of the responses.
+"""Driven records as samples of the responses that a missing force causes.
 
-Where a measured force drives, the missing force is measured nowhere. With the motion of its place known, what a law
-makes of the channels is the response of the linear model to the law's force along that motion: linear in its strengths,
+Where a measured force drives, the missing force is measured nowhere. With the motion of its place known, the response
+of the channels to a law is that of the linear model to the law's force along that motion: linear in its strengths,
 so that the law is the convex problem of an imposed motion with other columns. Errors of the model's parameters act
 along the measured motion, too, and the state in which the record begins is free.
 """
@@ -191,7 +191,7 @@ class DrivenBasis:
 
     @cached_property
     def nonlinear(self) -> tuple[int, ...]:
-        """Coordinates of the model that have a force beside the linear one."""
+        """Coordinates of the model that have a nonlinear force."""
         parts, found = self.plant.parts, []
         for k in range(parts.coordinates):
             starts = (parts.tables.elements.jenkins_start, parts.tables.elements.contacts_start,
@@ -242,7 +242,7 @@ class RespondingRecord:
             basis: of the record.
             place: its number.
             parts: number of parts.
-            force: of a law that was read there, at the steps, N, (n,): what is unknown is beside it; None = nothing.
+            force: of a law that was read there, at the steps, N, (n,): the unknown force adds to it; None = nothing.
         """
         plant = basis.plant
         row = plant.parts.coordinates + place
@@ -449,7 +449,7 @@ def _free_motions(basis: DrivenBasis) -> list[FloatArray]:
             continue
         for share in (1.0, 1j) if model.decay[k].imag != 0.0 else (1.0,):
             values = (turning * share).real / scale
-            # A motion that is gone by the second row is no column.
+            # A motion that has decayed by the second row gives no column.
             if np.count_nonzero(np.max(np.abs(values) / size[:, np.newaxis], axis=0) > _LEAST_START) > 3:
                 result.append(values)
     return result
@@ -541,12 +541,12 @@ class RespondingRecords(SampledRecords[RespondingRecord]):
 
     @property
     def bound(self) -> bool:
-        """The motion of the place has errors, too, which a law beside another takes for its own."""
+        """The motion of the place has errors, too, which a law that is added to another takes for its own."""
         return True
 
 
 def moving(every: Sequence[RespondingRecords]) -> list[RespondingRecords]:
-    """Of the places those whose motion is told by the channels and large enough for a force there to be seen."""
+    """The places whose motion the channels determine and is large enough for a force there to show."""
     sizes = [float(np.sqrt(np.mean([np.var(record.x) for record in one.records]))) for one in every]
     open_by = [max(record.x_std for record in one.records) for one in every]
     sensors = {channel.point for one in every[:1] for channel in one.records[0].test.channels}

@@ -157,7 +157,7 @@ class SampledRecords(Generic[R]):
         return np.concatenate([record.v[:, record.parts[part]] for record, part in self._parts()], axis=1)
 
     def left_by(self, rig: Rig, parts: Sequence[int]) -> float:
-        """rms of what another rig leaves of some parts, in standard deviations, but for constants of the channels."""
+        """rms residual of another rig on some parts, in standard deviations, but for constants of the channels."""
         found = [record.left_by(rig) for record in self.records]
         squares = rows = 0.0
         for k, record in enumerate(self.records):

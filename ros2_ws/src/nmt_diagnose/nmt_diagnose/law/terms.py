@@ -26,7 +26,7 @@ _TURNS = np.exp(2j * np.pi * np.outer(np.arange(ORDERS + 1), np.arange(SAMPLES))
 _ALONG = np.ones(1)
 _POWERS = {ord(raised): f"^{plain}" for plain, raised in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")}
 
-# Terms that stand beside those of elements and that no element has.
+# Terms that are combined with those of elements and that no element has.
 _BESIDE = (
     LawForm(
         "gap damping", "gap", "damper where |x| > {mm} mm", words="clearance", unit="N s/m",
@@ -37,7 +37,7 @@ _BESIDE = (
         force=lambda x, v, gap, side: np.where(np.sign(side) * x > gap, v, 0.0), unwritten="damping in contact",
     ),
 )  # fmt: skip
-# A linear force is an error of the modes at held levels; along a record it is told apart.
+# A linear force is an error of the modes at held levels; a record separates the two.
 OF_RECORDS: tuple[tuple[LawForm, type[ElementSection]], ...] = (
     (
         LawForm(
@@ -80,7 +80,7 @@ class Term:
         """What the term is, as the element says that has its force.
 
         Raises:
-            ValueError: there is no such term.
+            ValueError: the term does not exist.
         """
         return _form(self.kind, self.first)[0]
 

@@ -447,7 +447,7 @@ def _sentences(
 
 
 def _relieving(data: Data, best: FittedExplanation) -> tuple[str, ...]:
-    """Sentences on effects of an explanation that only bring model and chain back to what is believed of them."""
+    """Sentences on effects of an explanation that only move model and chain back to their priors."""
     every = range(len(best.candidates))
     only = [
         replace(best, small=frozenset(every) - {number})

@@ -107,7 +107,7 @@ class Chain:
 
 
 def is_tolerance(name: str) -> bool:
-    """Whether an error of the chain is one that something is believed of before a test."""
+    """Whether an error of the chain has a prior before a test."""
     return not name.startswith(_OF_A_TEST)
 
 

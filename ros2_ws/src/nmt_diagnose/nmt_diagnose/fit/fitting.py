@@ -143,7 +143,7 @@ class Data:
 
     @cached_property
     def tolerances(self) -> BoolArray:
-        """Which errors of the measuring chain something is believed of before the tests, (r,)."""
+        """Which errors of the measuring chain have a prior before the tests, (r,)."""
         return np.array([is_tolerance(name) for name in self.chain_names], dtype=bool)
 
     @cached_property

@@ -525,7 +525,7 @@ class LowLevelModes:
         return np.vstack(blocks)
 
     def exceed_priors(self, parametrisation: Parametrisation, theta: FloatArray) -> bool:
-        """Whether parameters reach the measured modes only by values that are hard to believe, or not at all."""
+        """Whether parameters reach the measured modes only by implausible values, or not at all."""
         return (
             float(np.sum(self.residual(parametrisation, theta) ** 2))
             > parametrisation.size + 2.0 * THRESHOLDS.comparison.credible_sigmas**2

@@ -6,8 +6,8 @@ and calibration make it smoothly wrong everywhere. The rows of one kind, channel
     s² (D + M K M),    K_ij = exp(−(x_i − x_j)² / 2ℓ²),
 
 D the noise with a small independent part of the misfit, M the size of the misfit, x the logarithm of level or
-frequency (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). Its size is a share of what matters; s is the scale
-that each group of rows learns.
+frequency (Kennedy and O'Hagan, J. R. Stat. Soc. B 63 (2001) 425). Its size is a share of the limit that matters; s is
+the scale that each group of rows learns.
 """
 
 from __future__ import annotations

@@ -279,7 +279,7 @@ class Investigation:
     # -- what is learnt -----------------------------------------------------------------------------------------------
 
     def _learn(self) -> None:
-        """Diagnose all that was measured, note what the last test told, and end where the answer is sure enough."""
+        """Diagnose all that was measured, record what the last test gave, and end where the answer is sure enough."""
         names = [test.name for test in self.record.measured]
         self._tell(f"diagnosing {len(names)} tests, {self.record.bench_s:.0f} s of bench time")
         self.diagnosis, seconds = self._think(names)

@@ -72,7 +72,7 @@ class AskedTest:
 
 @dataclass(frozen=True)
 class Turn:
-    """What was believed after a diagnosis.
+    """The posterior after a diagnosis.
 
     Attributes:
         tests: how many had been measured.

@@ -120,8 +120,8 @@ class ModalFrame:
 
     @property
     def resolution(self) -> float:
-        """Least singular value of the shapes of the frame's modes at the channels, each of length 1; 0 = not told
-        apart."""
+        """Least singular value of the shapes of the frame's modes at the channels, each of length 1; 0 = they cannot be
+        separated."""
         shapes = self.sensors[:, list(self.modes)]
         if shapes.shape[0] < shapes.shape[1]:
             return 0.0

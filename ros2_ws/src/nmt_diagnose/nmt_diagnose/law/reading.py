@@ -1,4 +1,4 @@
-"""The law of the force that a model lacks, with what it closes, its loop, and what keeps it from being told."""
+"""The law of the force that a model lacks, with what it closes, its loop, and the reasons not to report it."""
 
 from __future__ import annotations
 
@@ -399,7 +399,7 @@ def _forms(terms: Sequence[tuple[Any, ...]]) -> set[tuple[str, float]]:
 
 
 def nearly_as_well(score: float, best: float) -> bool:
-    """Whether a law at another place is not told from the best."""
+    """Whether a law at another place fits nearly as well as the best."""
     return score <= THRESHOLDS.law.place_score_ratio * best
 
 

@@ -45,7 +45,7 @@ class Value:
 
     Attributes:
         value, std, unit: of the number.
-        shared_std: part of ``std`` that comes from what is believed of the model's parameters: the same for all
+        shared_std: part of ``std`` that comes from the priors of the model's parameters: the same for all
             recordings that are compared with one model.
     """
 

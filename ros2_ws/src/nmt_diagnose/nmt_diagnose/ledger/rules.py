@@ -45,7 +45,7 @@ class Rule:
 
 
 def furthest_credible(parameters: int) -> float:
-    """Standard deviations that the furthest of some parameters may be from what is believed (Bonferroni)."""
+    """Prior standard deviations that the furthest of some parameters may be from its prior mean (Bonferroni)."""
     chance = THRESHOLDS.comparison.incredible_probability / (2.0 * max(parameters, 1))
     return float(-ndtri(chance))
 

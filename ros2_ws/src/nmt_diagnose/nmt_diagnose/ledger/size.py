@@ -324,16 +324,16 @@ def _without(found: FittedExplanation, number: int) -> Rig:
 
 
 def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:
-    """By how much model and measuring chain return to what is believed of them by effects, and whether these matter.
+    """By how much effects move model and measuring chain back to their priors, and whether the effects matter.
 
-    Errors of 3 standard deviations that share one reason are credible one by one and not together.
+    Several errors of 3 standard deviations with one cause are plausible one by one and not together.
     """
     fall = (tension(data, less) - tension(data, more)) / relief_that_counts(data, less)
     return Facts(left_without=fall, change=math.nan if fall < 1.0 else over(measured_size(data, more), wanted))
 
 
 def tension(data: Data, found: FittedExplanation) -> float:
-    """How far a fit takes parameters of the model and errors of the chain from what is believed of them, −2 ln p."""
+    """Prior misfit of a fit: squared distance of model parameters and chain errors from their priors, −2 ln p."""
     believed = _believed(data, found)
     return float(believed @ believed)
 
@@ -345,7 +345,7 @@ def relief_that_counts(data: Data, found: FittedExplanation) -> float:
 
 
 def strained_chain(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> tuple[str, ...]:
-    """A sentence on errors of the measuring chain that together are further off than is believed of them; else none.
+    """A sentence on errors of the measuring chain that are implausible together; else none.
 
     Each is named with its distance in tolerances and, where it changes what has a size, with what it does there.
     """
@@ -377,7 +377,7 @@ def _believed(data: Data, found: FittedExplanation) -> FloatArray:
 
 
 def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False) -> bool:
-    """Whether a fit leaves more than noise that matters, or would with model and chain within what is believed of them.
+    """Whether a fit leaves more than noise that matters, or would with model and chain held within their priors.
 
     Arguments as of :func:`left_over`.
     """
@@ -387,7 +387,7 @@ def leaves_something(data: Data, found: FittedExplanation, wanted: Mapping[str, 
 
 
 def left_within_belief(data: Data, found: FittedExplanation, wanted: Mapping[str, float], loop: bool = False) -> float:
-    """What a fit would leave with model and chain within what is believed of them, over what matters.
+    """The residual of a fit with model and chain held within their priors, over what matters.
 
     Arguments as of :func:`left_over`.
     """

@@ -128,7 +128,7 @@ def _row(row: Mapping[str, Any]) -> Iterable[str]:
 
 
 def _more(items: Sequence[object]) -> str:
-    """How many items are not told."""
+    """How many items are not listed."""
     return f" and {len(items) - _GROUPS} more" if len(items) > _GROUPS else ""
 
 

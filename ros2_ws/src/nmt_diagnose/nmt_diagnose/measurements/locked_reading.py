@@ -57,7 +57,7 @@ def phase_lean(single: FloatArray) -> float:
     """How far a loop may still be off that has not settled, from the drift of sub-windows beyond their scatter.
 
     A transient of the structure that decays over the window by about a half leaves a mean of about twice its change;
-    what the loop was told to hold has no drift.
+    the quantity that the loop holds has no drift.
     """
     count = single.shape[0]
     drift = float(_drift(single))

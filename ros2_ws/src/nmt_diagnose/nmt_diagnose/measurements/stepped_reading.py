@@ -473,7 +473,7 @@ def jumps_of(response: ComplexArray) -> list[tuple[int, int]]:
 
 
 def jump_note(name: str, low_hz: float, high_hz: float) -> str:
-    """What is said of a jump."""
+    """Sentence on a jump."""
     return f"{name}: it jumps between {low_hz:.5g} and {high_hz:.5g} Hz; these lines and any between are left out."
 
 

@@ -100,7 +100,7 @@ _RECORDER = PartFacts(
 
 
 class Part(IntEnum):
-    """What a row is a part of, with its number in files and what is said of it."""
+    """What a row is a part of, with its number in files and its facts."""
 
     facts: PartFacts
 

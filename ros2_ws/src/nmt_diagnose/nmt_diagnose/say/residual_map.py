@@ -68,7 +68,7 @@ def residual_map(
 
 
 def observables_of(observations: Observations) -> Iterator[tuple[str, int, int, PartFacts, BoolArray]]:
-    """Observables: name, number of the test, of the channel (−1 = none), what is said of it, and its rows, (m,)."""
+    """Observables: name, number of the test, of the channel (−1 = none), their facts, and their rows, (m,)."""
     rows = observations.rows
     for number, test in enumerate(observations.tests):
         for words, parts in itertools.groupby(Part, lambda part: part.facts.words):

@@ -122,10 +122,10 @@ def covariance_with_scale(data: Data, found: FittedExplanation) -> FloatArray:
 
 
 def shared_covariance(found: FittedExplanation) -> FloatArray:
-    """Part of the covariance of θ that comes from what is believed of the model's parameters, (n, n).
+    """Part of the covariance of θ that comes from the priors of the model's parameters, (n, n).
 
     The estimate is Σ (JᵀR⁻¹ y + P⁻¹ θ₀), so that an error of θ₀, of covariance P = 1, moves it by Σ θ₀ and has the
-    covariance Σ P⁻¹ Σ. What is believed of the measuring chain is none of the model's.
+    covariance Σ P⁻¹ Σ. The priors of the measuring chain are not the model's.
     """
     parametrisation = found.fit.parametrisation
     believed = [k for k, each in enumerate(parametrisation.calibration) if not isinstance(each, SharedDelay)]

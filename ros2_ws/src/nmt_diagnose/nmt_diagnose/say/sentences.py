@@ -171,7 +171,7 @@ def _with_values(explanation: Explanation, found: Mapping[str, Value]) -> str:
 
 
 def relieving(explanation: Explanation, found: Mapping[str, Value]) -> str:
-    """An effect that only brings model and measuring chain back to what is believed of them."""
+    """Sentence on an effect that only moves model and measuring chain back to their priors."""
     return (
         f"With {_with_values(explanation, found)} beside it parameters of the model and errors of the measuring chain "
         "stay nearer to what is believed of them; no row needs it, so it is not claimed."

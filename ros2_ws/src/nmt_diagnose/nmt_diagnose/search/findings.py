@@ -66,13 +66,13 @@ class Findings:
         hypotheses: the competition.
         comparison: probabilities.
         sources: what an unnamed cause at each place would explain in addition to the model alone.
-        inadequate: what the model has to be corrected for before effects can be told.
+        inadequate: what the model has to be corrected for before effects can be named.
         factors: channels that were recorded at another scale or sign.
         doubtful: modes that the model may lack and whose residual does not matter.
         left_out: explanations that were fitted and do not compete.
         law: of the local force that the model lacks, read from held levels; None without such a reading.
         scanned: scores of all candidates on top of the model alone; empty without a search.
-        scored: the best explanation; the model alone where there is no gap.
+        scored: the best explanation; the model alone without a gap.
         scores: computes those of the candidates on top of it.
     """
 

@@ -202,7 +202,7 @@ def of_explanations(explanations: Sequence[tuple[str, str, str]]) -> list[str]:
 
 
 def _of_quantity(quantity: Quantity, varied: str) -> list[str]:
-    """What is to be said of a parameter."""
+    """Sentences on a parameter."""
     found, unit = quantity.components, quantity.unit_of_value
     sentences = [
         f"{odd.unit} differs from its sisters in {quantity.name} by "

@@ -18,7 +18,7 @@ class UnitRecordings:
 
     Attributes:
         unit: its name.
-        setting: what is said of mounting, day and repeat, such as ``mounting 2``; empty where nothing is.
+        setting: mounting, day and repeat in words, such as ``mounting 2``; empty where none is stated.
         recordings: bags or folders.
     """
 

@@ -1,1 +1,1 @@
-"""Tests that have not been made: their rows, and by how much they would tell explanations apart."""
+"""Tests that have not been made: their rows, and by how much they would separate explanations."""

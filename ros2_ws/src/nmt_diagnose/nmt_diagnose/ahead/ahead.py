@@ -91,7 +91,7 @@ class Ahead:
         return np.asarray(left[:, 0])
 
     def apart(self, change: FloatArray, rows: BoolArray) -> float:
-        """Standard deviations by which some of the rows tell a change over σ, (m,), from what may move them.
+        """Standard deviations of a change over σ, (m,), on some of the rows that nuisance parameters cannot explain.
 
         √(Δᵀ (1 + X P⁻¹ Xᵀ)⁻¹ Δ).
         """

@@ -6,7 +6,7 @@ still adapt within its posterior covariance C (sensitivities J_b of the new test
     d² = Δᵀ Σ^(-½) (1 + J_b C J_bᵀ)⁻¹ Σ^(-½) Δ,
 
 with uncertainties Σ as they were in the tests at hand. Errors of the measuring chain count among what b adapts by. d is
-the expected number of standard deviations by which the test tells a from b, a being true.
+the expected number of standard deviations by which the test separates a from b, a being true.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def expected_information(p: float, q: float, sigmas: float) -> float:
 
     Args:
         p, q: probabilities of the two, whatever else there is.
-        sigmas: by how many standard deviations d the test tells one from the other.
+        sigmas: by how many standard deviations d the test separates them.
     """
     if not p + q > 0.0:
         return 0.0

@@ -26,7 +26,7 @@ from nmt_diagnose.search.search import Search
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
-# A larger number tells no more.
+# A larger number adds no information.
 _MOST_SIGMAS = 99.0
 
 CommandOf = Callable[[TestRequest], str]
@@ -84,7 +84,7 @@ def next_tests(
     most: int = 3,
     further: bool = False,
 ) -> tuple[NextTest, ...]:
-    """Tests that would tell the explanations that are left apart, best first.
+    """Tests that would separate the remaining explanations, best first.
 
     Args:
         rig: the model.
@@ -185,7 +185,7 @@ def next_levels(
     for count in sorted({min(third, len(levels)), len(levels)}):
         sigma, of_first = apart.sigmas(left.rows.level < count)
         found.append((rivals.information(of_first) / count, count, sigma, of_first))
-    # Levels that tell more for their time come in one test, however many they are.
+    # Levels that give more information for their time come in one test, however many they are.
     _, count, sigma, of_first = max(found, key=lambda item: (item[0], -item[1]))
     most = _MOST_SIGMAS
     return test(

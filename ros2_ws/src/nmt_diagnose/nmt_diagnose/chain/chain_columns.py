@@ -126,7 +126,7 @@ def shared_delays(observations: Observations, rig: Rig) -> tuple[SharedDelay, ..
 
 
 def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -> Chain:
-    """Columns of all errors of the measuring chains about a solution; levels without solution tell nothing.
+    """Columns of all errors of the measuring chains about a solution; levels without a solution add nothing.
 
     Args:
         observations: the real side.
@@ -165,7 +165,7 @@ def _unsettled(observations: Observations) -> dict[str, FloatArray]:
 
 
 def _phase_at_lock(observations: Observations, rig: Rig, prediction: Prediction) -> dict[str, FloatArray]:
-    """Phase at which the loop truly stood in each window, as well as the window tells it.
+    """Phase at which the loop truly stood in each window, as far as the window determines it.
 
     The loop holds the phase that it measures: noise of force and response moves the excitation off phase resonance,
     and frequency, amplitudes and phases of all channels together.

@@ -82,10 +82,10 @@ class Space:
     """Rows about one fit.
 
     Attributes:
-        left: N, what the fit leaves over.
+        left: N, the residual of the fit.
         nuisances: N × P, what may move, per standard deviation of its prior about zero.
         groups: N; rows of one number are left out together, for they are not independent.
-        independent: number of independent rows; NaN = by what a fit leaves along the series.
+        independent: number of independent rows; NaN = estimated from the residual along the series.
         floor: standard deviation of a row that no set of causes undercuts, as a noise.
         target: N, what the rows are a share of; None where no cause is a part of it.
         library: columns that may be asked.
@@ -110,7 +110,7 @@ class Space:
         return [item for item in self.library if place in ("", item.place) and (not terms or item.term in terms)]
 
     def independent_by(self, left: FloatArray) -> float:
-        """Number of independent rows by what a fit leaves: neighbours that leave the same count once."""
+        """Number of independent rows, estimated from a residual: correlated neighbours count once."""
         if np.isfinite(self.independent):
             return self.independent
         return sum(rows.size * independent_share(left[rows] - left[rows].mean()) for rows in self.series)

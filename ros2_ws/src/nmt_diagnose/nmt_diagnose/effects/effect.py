@@ -50,7 +50,7 @@ class Site:
         reference: size that a strength is counted from, in the unit of the channel; the frequency of a line, Hz; or a
             speed, m/s.
         starts: strengths other than zero from which a fit begins, by name, in their unit.
-        begun: all parameters from which fits begin instead, by name, in their unit, where data tell them together.
+        begun: all parameters from which fits begin instead, by name, in their unit, where data determine them jointly.
         limits: largest magnitude that physics allows a parameter, by name, in its unit; none for those left out.
         band_hz: band that shows a resonance here, Hz; (0, 0) where none does.
         existing: what the model itself has of a strength at this place, by name, in its unit: so much of it may be

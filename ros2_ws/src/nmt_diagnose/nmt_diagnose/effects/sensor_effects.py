@@ -175,7 +175,7 @@ def _delayed(rig: Rig, quantities: tuple[str, ...], delay_s: float) -> Rig:
 
 
 def _hold_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
-    """Without a recorded voltage nothing tells when the drive acts."""
+    """Without a recorded voltage the moment at which the drive acts is unknown."""
     if not _sensors(rig, ("voltage",)):
         return ()
     late = late_channels(operating, [channel for _, _, channel in _sensors(rig, ALL)])

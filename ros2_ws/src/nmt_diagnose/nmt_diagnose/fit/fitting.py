@@ -84,7 +84,7 @@ class Data:
     known: dict[object, float] = field(init=False, repr=False, compare=False, default_factory=dict)
 
     def tails(self, errors: ChainErrors) -> FloatArray:
-        """Probability that what a fit leaves in each group is noise, by its size and by its trend, (2K,)."""
+        """Probability that the residual of each group is noise, by its size and by its trend, (2K,)."""
         groups = self.groups
         return np.concatenate([groups.tails(errors.squares, self.counts), groups.trends(errors.residual, self.used)])
 
@@ -244,7 +244,7 @@ class ChainErrors:
     Attributes:
         chain: in standard deviations, (r,).
         slopes: derivatives by them, over σ, (m, r).
-        residual: what they leave over σ, (m,).
+        residual: of the rows with these errors, over σ, (m,).
         weights: 1/s² of each row, (m,).
         squares: Σ (e/σ)² of each group, (K,).
         cost: −2 ln of likelihood and prior of the errors.
@@ -394,7 +394,7 @@ class Metric:
         self._columns = columns
 
     def project(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What the columns leave of vectors (m, p), and how much of each column that takes, (k, p)."""
+        """Residual of vectors (m, p) after a fit of the columns, and the coefficient of each column, (k, p)."""
         along = self._weighted.T @ vectors
         taken = np.linalg.solve(self._factor.T, np.linalg.solve(self._factor, along))
         return np.asarray(vectors - self._columns @ taken), np.asarray(taken)

@@ -262,7 +262,7 @@ def more_modes(found: Modes, model: Modes, lines: FloatArray, which: np.ndarray)
 
 
 def _wider_than_lines(width_hz: FloatArray, frequency_hz: FloatArray, lines: FloatArray) -> NDArray[np.bool_]:
-    """Which resonances lines can tell from noise."""
+    """Which resonances are wide enough for the lines to distinguish them from noise."""
     spacing = np.interp(frequency_hz, lines, np.gradient(lines))
     return np.asarray(width_hz > THRESHOLDS.modes.least_width_lines * spacing)
 
@@ -434,7 +434,7 @@ class LowLevelModes:
         Args:
             data: what was fitted.
             found: the fit.
-            certain: only those that no effect can stand for.
+            certain: only those that no effect can imitate.
         """
         limits = THRESHOLDS.modes
         missed_from = limits.certain_sigmas if certain else limits.missed_sigmas

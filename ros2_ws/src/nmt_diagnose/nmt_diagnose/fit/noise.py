@@ -76,10 +76,10 @@ class Groups:
         return result
 
     def trends(self, residual: FloatArray, used: BoolArray) -> FloatArray:
-        """Probability that the lowest or the highest levels of a group are left so much more than its others, (K,).
+        """Probability that the lowest or the highest levels of a group exceed its others by so much by chance, (K,).
 
-        Noise is alike at all levels, and how much of it there is the others tell; what a model lacks acts from some
-        level on, or up to it (Fisher's F for each number of levels at either end, Bonferroni).
+        Noise is alike at all levels, so the other levels give its size; what a model lacks acts from some level on, or
+        up to it (Fisher's F for each number of levels at either end, Bonferroni).
 
         Args:
             residual: over standard deviations, (m,).

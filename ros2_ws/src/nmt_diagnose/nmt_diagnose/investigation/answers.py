@@ -1,4 +1,4 @@
-"""Answers of an investigation: how probable they are, what is open among them, and what a test is worth."""
+"""Answers of an investigation: their probabilities, what is open among them, and the benefit of a test."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loop of an investigation: diagnose, choose the test that tells most for its bench time, measure; and again.
+"""The loop of an investigation: diagnose, choose the test with most information for its bench time, measure; again.
 
 Nothing here runs a node or fits a model: measuring, diagnosing and asking are handed in.
 """
@@ -112,7 +112,7 @@ class Investigation:
         first = self._first_test()
         if first is not None or self.record.ended:
             return first
-        # A test that was declined tells nothing.
+        # A test that was declined gives no information.
         if self.diagnosis is None or self.record.turns[-1].tests < len(self.record.measured):
             self._learn()
         chosen = None if self.record.ended else self._choose()
@@ -210,7 +210,7 @@ class Investigation:
         )
 
     def _choose(self) -> AskedTest | None:
-        """The test that is expected to tell most for its bench time; None where none is left that may be made."""
+        """The test with the most expected information for its bench time; None where none remains that may be made."""
         assert self.diagnosis is not None
         if self._is_named():
             levels = self._next_levels()

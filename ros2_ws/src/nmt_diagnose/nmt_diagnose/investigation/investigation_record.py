@@ -41,7 +41,7 @@ class AskedTest:
         request: the test as a value.
         text: what is done, for people.
         why: what it is expected to show.
-        separates: answers that it is to tell apart; empty where it only goes on with the plan.
+        separates: answers that it is to separate; empty where it only goes on with the plan.
         expected_sigma: by how many standard deviations.
         expected: fall of their entropy that is expected, nats; NaN where none is computed.
         received: what the entropy of these answers fell by, nats; negative where it rose.
@@ -66,7 +66,7 @@ class AskedTest:
 
     @property
     def is_random(self) -> bool:
-        """Whether it is the test that tells the linear modes."""
+        """Whether it is the test that determines the linear modes."""
         return isinstance(self.request.kind, RandomTest)
 
 

@@ -1,10 +1,9 @@
-"""The model of a driven rig about rest: what forces at places make of its channels, and how its places moved.
+"""The model of a driven rig about rest: response of its channels to forces at places, and the motion of its places.
 
-The measured force and a force at any place act on poles that are stepped exactly. How a place moved is what measured
-responses say of a model on which an unknown force acts there: a random walk, found by the Kalman filter in its steady
-state and smoothed backwards (Bryson and Frazier, Proc. Optimum System Synthesis Conf. (1963)). A sensor at the place
-says it nearly alone; where there is none the other sensors and the model do. How far the walk steps is the value of
-largest likelihood.
+The measured force and a force at any place act on poles that are stepped exactly. The motion of a place is estimated
+from the measured responses by a model on which an unknown force acts there: a random walk, found by the Kalman filter
+in its steady state and smoothed backwards (Bryson and Frazier, Proc. Optimum System Synthesis Conf. (1963)). A sensor
+at the place nearly determines it; without one the other sensors and the model do. The step of the walk is its value of
 """
 
 from __future__ import annotations
@@ -195,7 +194,7 @@ class UnknownMotion:
 def unknown_motion(
     plant: DrivenPlant, inputs: Sequence[int], left: FloatArray, noise: FloatArray, force_size: float, slowest_hz: float
 ) -> UnknownMotion:
-    """The motion that unknown forces at some inputs made, from what the measured force leaves of the channels.
+    """The motion caused by unknown forces at some inputs, from the residual of the channels under the measured force.
 
     Args:
         plant: the model.

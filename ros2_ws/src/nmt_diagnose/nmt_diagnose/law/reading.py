@@ -160,7 +160,7 @@ class LawReading:
 
 
 def read_law(rig: Rig, observations: Observations) -> LawReading | None:
-    """The law of the local force that the model lacks; None where no held levels tell one.
+    """The law of the local force that the model lacks; None where no held levels determine one.
 
     Args:
         rig: the model as given.
@@ -184,7 +184,7 @@ def read_law(rig: Rig, observations: Observations) -> LawReading | None:
 
 
 def refitted_laws(rig: Rig, observations: Observations, reading: LawReading) -> tuple[LocalLaw, ...] | None:
-    """The laws of a reading with the strengths that other levels give; None where those tell none.
+    """The laws of a reading with the strengths that other levels give; None where those determine none.
 
     Args:
         rig: the model as given.
@@ -228,8 +228,8 @@ def _levels_of(rig: Rig, observations: Observations) -> HeldLevels | None:
 
 
 def _stands_alone(rig: Rig, levels: HeldLevels) -> bool:
-    """Whether fundamentals alone tell a law: lines of a stepped sine, and levels without a force where no shaker that
-    stays attached belongs to them."""
+    """Whether fundamentals alone determine a law: lines of a stepped sine, and levels without a force where no shaker
+    that stays attached belongs to them."""
     if levels.ratio is None:
         return levels.alone
     return rig.exciter is None or rig.exciter.kind == "force"

@@ -1,4 +1,4 @@
-"""What the law of records predicts of parts that its strengths do not know, and what it leaves of all."""
+"""Predictions of the law of records for parts that its strengths do not know, and its residuals on all parts."""
 
 from __future__ import annotations
 

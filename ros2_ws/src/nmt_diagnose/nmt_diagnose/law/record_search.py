@@ -28,7 +28,7 @@ _STEP = 1e-3  # of a parameter, for differences
 _LEAST_EXPONENT = 1.05  # of a damper: 1 is viscous, and elements have no less
 _THIN = 8  # of a family that are tried where places are compared
 _COMPARED = 12  # sets of families that may do nearly as well
-_SPARSE = 0.5  # independent share of rows of a law: beyond it they lie too far apart to tell it from white noise
+_SPARSE = 0.5  # independent share of rows of a law: beyond it they lie too far apart to show correlated residuals
 _TIGHTENED = 30  # rounds in which errors without a law come to be ordinary ones
 _WITHIN = 0.98
 
@@ -92,7 +92,7 @@ class RecordSearch:
         return self.law(law.blocks)
 
     def _count(self) -> None:
-        """The problem with errors that count as they are worth."""
+        """The problem with the present weights of its errors."""
         inner = list(range(1, self.records.count - 1))
         self.problem = ConvexFit(self._missing, self._errors / self.worth, inner, self.records.names)
 
@@ -131,7 +131,7 @@ class RecordSearch:
         return RecordLaw(tuple(blocks), self.problem.solve(self.records.columns(_terms(blocks)), signed(blocks)))
 
     def single(self) -> RecordLaw | None:
-        """The best law of one block, of a few of each family: what a place is worth; None where none acts."""
+        """The best law of one block at a place, of a few of each family; None where none acts."""
         every = blocks_of_records(self.records.x, self.records.v)
         # A wave is met or it is not: of cogging half are tried.
         some = {name: m[:: 2 if name == "cogging" else max(1, len(m) // _THIN)] for name, m in every.items()}
@@ -139,7 +139,7 @@ class RecordSearch:
         return next((self._law_of(chosen, one) for one in chosen.judged if one.numbers), None)
 
     def found(self) -> list[RecordLaw]:
-        """The law and others that were compared with it, each with its rows counted as what the law leaves is worth."""
+        """The law and others that were compared with it, each with rows weighted by the residual of the law."""
         families = blocks_of_records(self.records.x, self.records.v)
         chosen = Choice(self._space).grow(self._library(families), _BLOCKS)
         best = self._law_of(chosen, chosen.best)

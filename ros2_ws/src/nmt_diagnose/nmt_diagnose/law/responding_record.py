@@ -552,7 +552,7 @@ def moving(every: Sequence[RespondingRecords]) -> list[RespondingRecords]:
     sensors = {channel.point for one in every[:1] for channel in one.records[0].test.channels}
     largest = max((s for one, s in zip(every, sizes, strict=True) if one.place[0] in sensors and not one.place[1]),
                   default=np.inf)  # fmt: skip
-    # An unknown force between points that no channel tells apart moves them as far as it likes.
+    # An unknown force between points that no channel separates moves them as far as it likes.
     known = [
         (one, size)
         for one, size, std in zip(every, sizes, open_by, strict=True)

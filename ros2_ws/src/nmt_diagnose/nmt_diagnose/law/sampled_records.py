@@ -254,7 +254,7 @@ class SampledRecords(Generic[R]):
         return found
 
     def independent(self, left: FloatArray) -> float:
-        """Independent rows over rows by what a law leaves, (P, M): neighbours that leave the same count once."""
+        """Independent rows over rows, by a law's residual, (P, M): correlated neighbours count once."""
         total = independent = 0.0
         for number, rows, _ in self.series():
             row = left[number, rows] - left[number, rows].mean()

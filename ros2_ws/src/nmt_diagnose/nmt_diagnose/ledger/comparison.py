@@ -59,8 +59,8 @@ class EquivalentClass:
         members: the most probable first, no two with the same effects.
         probability: of all of them together.
         given_library: the same if one of the explanations had to be the whole of the gap.
-        objections: what the most probable leaves that is more than noise and matters, and what it asks of the model
-            that is improbable.
+        objections: residuals of the most probable explanation that exceed noise and matter, and its implausible
+            parameters.
         places: probability of each place, as :attr:`Explanation.place` writes it, if these effects are the cause.
     """
 
@@ -77,7 +77,7 @@ class EquivalentClass:
 
     @property
     def adequate(self) -> bool:
-        """Whether what the most probable leaves is noise, or smaller than what matters."""
+        """Whether the residual of the most probable explanation is noise, or smaller than what matters."""
         return not self.objections
 
     def facts(self, share: ClosedShare | None, rival: float) -> Facts:

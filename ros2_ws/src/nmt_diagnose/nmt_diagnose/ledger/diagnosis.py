@@ -90,12 +90,12 @@ class Ranked:
         place: where it acts.
         detail: point or channel.
         probability: of the class it heads.
-        equivalents: other effects that these tests cannot tell from it.
+        equivalents: other effects that these tests cannot distinguish from it.
         parameters: fitted parameters.
         closed: share of the held-out gap it closes.
         sigmas: its strength over its standard uncertainty.
         converged: whether its fit reached the optimum.
-        adequate: whether what it leaves is noise, or smaller than what matters.
+        adequate: whether its residual is noise, or smaller than what matters.
         given_library: whether ``probability`` is among the explanations of the library alone, as that of a partial
             explanation is.
         places: probability of each place if these effects are the cause, the most probable first; sum 1.
@@ -121,7 +121,7 @@ class Answer:
 
     Attributes:
         kind: ``none``, ``too_weak``, ``unknown`` or ``effect``.
-        effects: those that these tests do not tell apart, two that act together joined by `` + ``; of ``effect`` only.
+        effects: those that these tests cannot distinguish, two that act together joined by `` + ``; of ``effect`` only.
         probability: of the answer.
     """
 
@@ -136,7 +136,7 @@ class Gap:
 
     Attributes:
         before: root-mean-square whitened residual of the model with its own parameters re-fitted; that of the fits
-            themselves where no held-out data tell the explanation, and ``closed`` is NaN.
+            themselves where no held-out data test the explanation, and ``closed`` is NaN.
         after: with the accepted explanation.
         floor: what no model can beat.
         as_given: of the model as it was given.
@@ -165,7 +165,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class RemainderPart:
-    """What an explanation leaves in one observable of a test.
+    """Residual of an explanation in one observable of a test.
 
     Attributes:
         observable: test and observable.
@@ -186,7 +186,7 @@ class RemainderPart:
 
 @dataclass(frozen=True)
 class Remainder:
-    """What a named explanation leaves of the gap on held-out data.
+    """The part of the gap on held-out data that a named explanation does not close.
 
     Attributes:
         share: of the gap, with the interval of 90 % from ``low`` to ``high``.
@@ -214,7 +214,7 @@ class NextTest:
         grows: what shows already and is expected to matter in them; empty where that is less probable than that
             something else shows.
         levels: of the plan, where the test goes on with it.
-        plan_sigma: by how many standard deviations all levels of the plan that are left tell the explanations apart.
+        plan_sigma: by how many standard deviations all remaining levels of the plan separate the explanations.
         request: the test as a value; no part of ``diagnosis.json``.
     """
 
@@ -285,12 +285,12 @@ class ResidualGroup:
 class Diagnosis:
     """All that a diagnosis says; the fields are those of ``diagnosis.json``.
 
-    ``adequate`` is false where more is left than noise that matters: with the verdict ``effect`` the explanation is a
+    ``adequate`` is false where the residual exceeds noise and matters: with the verdict ``effect`` the explanation is a
     partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
-    ``next_levels`` are those of the plan that was given, ``other_sensors`` those that would tell apart what no test
-    that is left does. ``answers`` are the fewest that hold the truth with a probability of 95 %.
+    ``next_levels`` are those of the plan that was given, ``other_sensors`` those that would separate explanations that
+    no remaining test separates. ``answers`` are the fewest that hold the truth with a probability of 95 %.
     ``ledger`` has each explanation that was fitted, and the rules that state it or not. ``too_small`` is an effect that
-    the recordings demand and that changes less than what matters; None where there is none.
+    the recordings demand and that changes less than what matters; None without one.
     """
 
     verdict: Verdict

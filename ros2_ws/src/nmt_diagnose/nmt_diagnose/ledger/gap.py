@@ -99,8 +99,8 @@ def closed(
 def no_worse_than_silence(observations: Observations, residual: FloatArray, sigma: FloatArray) -> FloatArray:
     """A residual over standard deviations, (m,), that on no channel of a record is larger than the record itself.
 
-    A model that runs away from what was measured is worth no more than one that predicts nothing: how far it went does
-    not count as a gap that something closes.
+    A model that runs away from the measured values counts like one that predicts nothing: how far it went does not
+    count as a gap that something closes.
 
     Args:
         observations: the real side.

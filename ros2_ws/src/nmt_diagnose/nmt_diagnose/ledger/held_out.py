@@ -22,7 +22,7 @@ from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
 
 _NO_BETTER = 0.9
-"""Standard uncertainty over that of a prior from which rows tell nothing of a parameter."""
+"""Standard uncertainty over that of its prior from which on rows do not determine a parameter."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def splits(observations: Observations, hold_out: Sequence[str] = ()) -> list[Spl
         return [Split(" and ".join(f"the test {PurePath(name).name}" for name in hold_out), ~selected, selected)]
     rows = observations.rows
     # Where a channel is clipped is read off the few windows that reach the level; no other window predicts it. Nor do
-    # the samples that are lost in one window tell of those in others.
+    # the samples that are lost in one window predict those in others.
     limits = np.isin(rows.part, (Part.LIMIT, Part.REPEATS))
     result = []
     odd = np.zeros(len(rows), dtype=bool)
@@ -248,7 +248,7 @@ class HeldOut:
 def refit(fitted: Data, everything: Data, found: FittedExplanation, split: Split) -> Refit | None:
     """An explanation fitted to some rows.
 
-    What is predicted is the rig; how the measuring chain was when the rest was measured, those rows tell themselves.
+    The rig is predicted. The state of the measuring chain in the other rows is determined by those rows themselves.
     """
     before = found.fit
     part = replace(fitted, used=fitted.used & split.fitted)

@@ -168,7 +168,7 @@ def _law_held_out(findings: Findings, held_out: HeldOut, scale: FloatArray) -> C
     """How much of the gap the rig file with the law closes on rows that the law was not read from.
 
     Its strengths are fitted anew to the rows of each split, and it goes to the model as given. None where no split
-    tells it, or where the file has an element whose motion is only known step by step.
+    determines it, or where the file has an element whose motion is only known step by step.
 
     Args:
         findings: with the law.

@@ -1,4 +1,4 @@
-"""A row of the ledger: what an explanation leaves, asks and predicts, and the rules that were applied to it."""
+"""A row of the ledger: residuals, parameters and predictions of an explanation, and the rules applied to it."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Ruling:
 
 @dataclass(frozen=True)
 class GroupLeft:
-    """What an explanation leaves in rows that share a scale.
+    """Residual of an explanation in rows that share a scale.
 
     Attributes:
         group: test and kind of row.
@@ -130,7 +130,7 @@ class LedgerRow:
         effects: rules that were applied to each of its effects.
         small: those of its effects that it does not need.
         start: name of the start from which its fit was the best.
-        left: what it leaves, by group of rows.
+        left: its residuals, by group of rows.
         parameters: the model's, in prior standard deviations.
         chain: errors of the measuring chain beyond one prior standard deviation, the largest first.
         change: largest change of its predictions from those of the model alone by kind, over what matters.

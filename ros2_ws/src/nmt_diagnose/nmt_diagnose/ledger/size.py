@@ -407,8 +407,8 @@ def change_size(data: Data, change: FloatArray) -> Size:
 def size_of_change(observations: Observations, used: BoolArray, sigma: FloatArray, change: FloatArray) -> Size:
     """Size of a change of the rows, (m,), in their own units.
 
-    Rows of a level or tenth of the lines count together, each as surely as it is known: a line where hardly anything is
-    left of a response tells little. Samples of a record count by the rms of all of them.
+    Rows of a level or tenth of the lines count together, each weighted by its certainty: a line of a response that is
+    nearly zero carries little information. Samples of a record count by the rms of all of them.
 
     Args:
         observations: the rows and their values.

@@ -267,7 +267,7 @@ def scatter_about_a_course(x: FloatArray, y: FloatArray) -> float:
 # -- unforced ------------------------------------------------------------------------------------------------------
 
 _PARTS = 6
-"""Parts of a window whose scatter tells the uncertainty of its frequency."""
+"""Parts of a window whose scatter gives the uncertainty of its frequency."""
 
 
 def unforced_observations(bag: BagWindows) -> list[Observations]:
@@ -288,8 +288,8 @@ def unforced_observations(bag: BagWindows) -> list[Observations]:
 def _backbone(name: str, windows: Sequence[Window], bag: BagWindows) -> Observations:
     """Rows of a backbone, one a window: frequency of the motion at the amplitude of its fundamental, and no damping.
 
-    At phase resonance, forced or in a limit cycle, that is the frequency of the nonlinear mode; how much power it takes
-    only a force could tell.
+    At phase resonance, forced or in a limit cycle, that is the frequency of the nonlinear mode; the power that it takes
+    cannot be known without a force.
     """
     view, settings = bag.view, bag.settings
     notes, rows = [], []

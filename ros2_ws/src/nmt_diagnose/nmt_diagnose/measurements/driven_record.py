@@ -210,7 +210,7 @@ class RecordPredictor(Predictor):
             parts: of the rig.
             rate: of the input, Hz.
             substeps: steps per sample of it.
-            state: of the poles, to begin with, (k,); None = as the first samples tell.
+            state: of the poles, to begin with, (k,); None = estimated from the first samples.
             offset: what is added to the input, in its unit.
             louder: share of the input that is added to it.
             errors: whether those of the begin are wanted where the model starts at rest.

@@ -450,7 +450,7 @@ def _add_steps(run: UsedWindows, cells: Sequence[Cell], view: ModelView, table: 
         step = min(positive) if 2 * len(positive) > len(steps) else 0.0
         total = float(np.median(variances))
         expected = believed.get(channel.name, 0.0)
-        # A step that is as the model has it tells nothing.
+        # A step that is as the model has it gives no information.
         if max(step, expected) <= THRESHOLDS.reading.hidden_step_share * math.sqrt(total) or math.isclose(
             step, expected, rel_tol=0.01
         ):

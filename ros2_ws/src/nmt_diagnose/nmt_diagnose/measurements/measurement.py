@@ -80,7 +80,7 @@ class HeldLevels:
         name: of the test.
         drive_points: measurement point of each exciter.
         over_base: the force is the acceleration of a base.
-        alone: fundamentals alone tell a law, whatever shaker stays attached.
+        alone: fundamentals alone determine a law, whatever shaker stays attached.
         recorded: channels of the test, where forces are among them.
         numbers: of each level in the plan of the test, (L,).
         omega: angular frequency, rad/s, (L,).
@@ -298,7 +298,7 @@ class Measurement:
         return None
 
     def larger(self, share: float) -> Measurement | None:
-        """With the motion at which the model is solved larger by a share; None where a gain of the chain tells it."""
+        """With the motion at which the model is solved larger by a share; None where a gain of the chain covers it."""
         return None
 
     @property

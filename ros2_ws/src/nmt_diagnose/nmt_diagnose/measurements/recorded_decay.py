@@ -76,7 +76,7 @@ class RecordedDecay(Driven):
         drive_point: measurement point of the exciter (it stays attached, at zero volts).
         channel: response channel that the amplitudes are of.
         amplitudes: fundamental amplitude in the channel's unit at which the observables stand, shape (k,), falling.
-        frequency_hz: at the smallest amplitude, Hz; it tells the mode.
+        frequency_hz: at the smallest amplitude, Hz; it identifies the mode.
         others: further response channels; magnitude and phase of their fundamentals stand relative to the first one's.
         resting_points: measurement points of further exciters, at zero volts too.
     """
@@ -490,7 +490,7 @@ def _short_decay(
 
 
 def close_mode(view: ModelView, frequency_hz: float) -> str:
-    """Which mode several exciters let ring that no window tells from the one that decays; empty = none."""
+    """Mode that several exciters let ring and that no window separates from the decaying one; empty = none."""
     away = sorted(view.modes_hz, key=lambda hertz: abs(hertz / frequency_hz - 1.0))[1:2]
     if len(view.rig.all_exciters) < 2 or not away or abs(away[0] / frequency_hz - 1.0) > 1.0 / max(DEMODULATION_WIDTHS):
         return ""

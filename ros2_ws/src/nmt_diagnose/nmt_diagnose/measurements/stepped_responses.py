@@ -460,7 +460,7 @@ def whitened_difference(log_ratio: ComplexArray, growth: ComplexArray, noise: Fl
         log_ratio: ln of the measured response over the one that the model has at the measured amplitude of the first
             channel, (lines, channels).
         growth: ∂ ln R / ∂ ln s, (lines,).
-        noise: standard uncertainty of the magnitudes, (lines,): a difference many times as large is none of the
+        noise: standard uncertainty of the magnitudes, (lines,): a difference many times as large is not an error of the
             amplitude, and corrects no other row; None = corrections are not bounded.
 
     Returns:
@@ -469,7 +469,7 @@ def whitened_difference(log_ratio: ComplexArray, growth: ComplexArray, noise: Fl
     slope, turn = growth.real, -growth.imag
     sharpness = np.maximum(slope**2, 1.0)
     lead = log_ratio[:, 0].real / np.sqrt(sharpness)
-    # The error of the first channel's magnitude, as far as the level tells it, and the part of it that stays unknown.
+    # The error of the first channel's magnitude, as far as the level determines it, and its unknown rest.
     error = (log_ratio[:, 0].real * slope / sharpness)[:, None]
     if noise is not None:
         most = THRESHOLDS.prediction.largest_magnitude_sigmas * noise[:, None]

@@ -1,1 +1,1 @@
-"""What a real side tells: tests, observables and their uncertainty."""
+"""What a real side contains: tests, observables and their uncertainty."""

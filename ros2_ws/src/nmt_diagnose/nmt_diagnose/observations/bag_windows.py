@@ -186,7 +186,7 @@ class BagWindows:
         return stepped or kind is TestKind.RESPONSE_CURVE
 
     def note_few_levels(self, name: str, levels: int) -> None:
-        """Note what a test of few levels cannot tell."""
+        """Note the limits of a test of few levels."""
         if 0 < levels < THRESHOLDS.reading.few_levels:
             self.notes.append(
                 f"{name}: {levels} level{'s' if levels > 1 else ''} cannot tell effects apart by how they grow with "

@@ -64,7 +64,7 @@ class ObservationSettings:
     Attributes:
         harmonics: highest order among the observables of locked windows.
         sub_windows: sub-windows of a locked window, for its uncertainties.
-        fewest_periods: locked windows of fewer whole periods are left out: nothing in them tells their noise.
+        fewest_periods: locked windows of fewer whole periods are left out: their noise cannot be estimated.
         lines: most lines of a frequency response that become observables.
         stepped_lines: the same of one with a held amplitude, for each level and direction.
         largest_std: observables of a frequency response with a larger relative uncertainty are left out: the logarithm

@@ -155,7 +155,7 @@ class DrivenForces:
         return (forces, turned, inverse) if np.isfinite(inverse).all() else None
 
     def followed(self, other: DrivenForces) -> tuple[FloatArray, FloatArray] | None:
-        """Forces of a rig that differs a little, to first order; None where these do not tell."""
+        """Forces of a rig that differs a little, to first order; None where these are not sufficient."""
         if other.keys != self.keys or not np.array_equal(other.acting, self.acting) or self._following is None:
             return None
         forces, turned, inverse = self._following

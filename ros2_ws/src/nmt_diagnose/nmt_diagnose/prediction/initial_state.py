@@ -60,7 +60,7 @@ def initial_state(
         coordinates: of the model; its outputs are these and then the channels.
         gains: of the channels, (c, 1).
         at: number of steps after which the model is at each of the samples, (n,).
-        moving: whether the record begins in motion; else the model starts at rest, and the errors tell how surely.
+        moving: whether the record begins in motion; else the model starts at rest, with the uncertainty of that.
     """
     size = np.sqrt(np.mean((measured - measured.mean(axis=1, keepdims=True)) ** 2, axis=1))
     nothing = at_rest(model.decay.size)
@@ -83,7 +83,7 @@ def initial_state(
         return np.stack([(residual - other) / _STEP for other in moved], axis=1)
 
     def stepped(theta: FloatArray, residual: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
-        """The state after a step of least squares that leaves no more, what it leaves, and whether it was small."""
+        """The state after a least-squares step that does not raise the residual, the residual, whether it was small."""
         change = np.linalg.lstsq(np.hstack((columns, constants)), residual, rcond=_SINGULAR)[0][: theta.size]
         before = float(np.sum(without_zeros(residual) ** 2))
         for _ in range(_HALVINGS):

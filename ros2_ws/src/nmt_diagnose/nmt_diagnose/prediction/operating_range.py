@@ -42,7 +42,7 @@ def operating_range(
         rig: the model.
         tests: the tests.
         settings: of the predictor; None = a coarse mesh.
-        observations: what was measured; tells the frequencies of a backbone, too. None = the model alone.
+        observations: what was measured, with the frequencies of a backbone; None = the model alone.
 
     Raises:
         BenchError: the rig does not fit the tests.
@@ -145,7 +145,7 @@ def receptances(rig: Rig, pole: complex, ideal_force: bool) -> dict[int, complex
 
 
 def _late(observations: Observations, rig: Rig) -> dict[str, float]:
-    """Delay of each channel against the voltage, or against the force where no test tells that, s."""
+    """Delay of each channel against the voltage, or against the force where no test determines that, s."""
     found: dict[str, float] = {}
     for (number, channel), delay in lateness(observations, rig).items():
         test = observations.tests[number]
@@ -238,7 +238,7 @@ def _total_mass(rig: Rig) -> float:
         return structure.density_kg_m3 * structure.length_m * structure.width_m * structure.height_m
     if isinstance(structure, ChainSection):
         return float(sum(structure.masses_kg))
-    return np.inf  # modes and matrices do not tell the mass along one direction
+    return np.inf  # modes and matrices do not contain the mass along one direction
 
 
 def _effective_masses(

@@ -1,4 +1,4 @@
-"""What a named explanation leaves of the gap: how much, in which observables, and at which levels."""
+"""The part of the gap that a named explanation does not close: size, observables, and levels."""
 
 from __future__ import annotations
 

@@ -71,17 +71,17 @@ def too_small_row(
     comparison: Comparison,
     close: Callable[[FittedExplanation], ClosedShare],
 ) -> tuple[Ranked, float] | None:
-    """An effect that the recordings demand and that changes less than what matters; None where there is none.
+    """An effect that the recordings demand and that changes less than what matters; None without one.
 
     Args:
         data: what was fitted.
         null: the model alone.
-        named: explanations, among them those that these recordings do not tell from it.
+        named: explanations, among them those that these recordings cannot distinguish from it.
         comparison: of them.
         close: how much of the gap an explanation closes on held-out data.
 
     Returns:
-        The effect, and what it leaves of held-out data, rms over σ; NaN where no split tells it.
+        The effect, and the residual of held-out data with it, rms over σ; NaN where no split determines it.
     """
     small = comparison.small
     if small is None or not is_demanded(small, null):
@@ -90,7 +90,7 @@ def too_small_row(
     least = small.fit.log_evidence + math.log(THRESHOLDS.verdict.as_likely_share)
     near = [it for it in named if not it.stated and it.fit.log_evidence > least]
     effects = {it.fitted.effects for it in (small, *near)}
-    # With one effect more than another that they do not tell from it an explanation says nothing new.
+    # An explanation that only adds an effect to one that they cannot distinguish from it says nothing new.
     alike = [it for it in effects if not any(set(other) < set(it) for other in effects) and it != explanation.effects]
     share = close(small)
     row = Ranked(

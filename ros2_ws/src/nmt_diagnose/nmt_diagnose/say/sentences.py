@@ -52,7 +52,7 @@ def sentences(
 ) -> tuple[str, ...]:
     """Where, which, how far; and what would settle the rest if something is left open.
 
-    ``named`` is the explanation that ``ranking`` begins with, ``left`` what it leaves that matters, ``small`` the
+    ``named`` is the explanation that ``ranking`` begins with, ``left`` its residuals that matter, ``small`` the
     sentence on an effect that is there and does not matter.
     """
     if verdict is Verdict.NONE:
@@ -179,7 +179,7 @@ def relieving(explanation: Explanation, found: Mapping[str, Value]) -> str:
 
 
 def _nearest(ranking: Sequence[Ranked], named: Explanation | None, gap: Gap) -> str:
-    """What comes nearest, with its parameters and what it leaves."""
+    """The nearest explanation, with its parameters and the remaining gap."""
     if not ranking:
         return f" {gap.before:.2f} standard deviations (rms) lie between the recordings and the re-fitted model."
     if gap.closed <= 0.0:

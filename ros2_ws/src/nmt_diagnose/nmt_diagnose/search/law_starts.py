@@ -25,7 +25,7 @@ _LARGEST_LOG = 8.0  # of a shape over its scale: beyond it the start says nothin
 
 
 def law_of(rig: Rig, observations: Observations) -> LawReading | None:
-    """The law of held levels, else of records of an imposed motion, else of driven ones; None where there is none."""
+    """The law of held levels, else of records of an imposed motion, else of driven ones; None without one."""
     try:
         held = read_law(rig, observations) or read_record_law(rig, observations)
         return held or read_driven_law(rig, observations)

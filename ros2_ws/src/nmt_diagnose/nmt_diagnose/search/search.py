@@ -223,7 +223,7 @@ class Search:
             errors = fitted.errors.chain
             change = fitted.errors.residual - data.difference(moved.values, errors)
             column = change / float(start[strength_position(candidate)])
-            # What does not show to first order goes with the square: the same way for either sign.
+            # An effect without a first-order change is proportional to the square: the same for either sign.
             result.append((number, start, column, candidate.signed(parameter) and not parameter.even))
         return result
 

@@ -41,7 +41,7 @@ def out_of_scale(
     """Channels whose size can only be a wrong unit, from windows of nearly one frequency.
 
     Every channel is compared with the model's linear response; the ratio of one channel to the median over quantities
-    tells a wrong scale. The response is that at the frequency of the window or, where channels agree better there, at
+    shows a wrong scale. The response is that at the frequency of the window or, where channels agree better there, at
     that of the mode next to it: a nonlinear rig is in resonance far from its linear frequency.
 
     Args:

@@ -39,7 +39,7 @@ class InputNoise(NamedTuple):
 
 
 def input_noise(source: FloatArray, responses: FloatArray, sample_rate: float) -> InputNoise:
-    """Noise of an input as its coherence with the responses tells it.
+    """Noise of an input, estimated from its coherence with the responses.
 
     Args:
         source: samples of the input, (n,).

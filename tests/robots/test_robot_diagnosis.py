@@ -51,7 +51,14 @@ def test_planted_coulomb_friction_is_found() -> None:
     assert found.value == pytest.approx(0.9, rel=0.1)
     assert abs(found.value - 0.9) < 3.0 * found.std
     assert diagnosis.joints[0].cause == "Coulomb friction"
-    assert diagnosis.joints[0].closed > 0.5
+    (joint,) = diagnosis.joints
+    assert joint.closed > 0.5
+    # Friction that the file lacks is a square wave: what the model leaves is its rms.
+    assert joint.unchanged == pytest.approx(0.9 - found.in_model, rel=0.15)
+    assert (
+        f"the model as given leaves {joint.unchanged:.3g} N·m of the torque (rms over the joints), with what is named "
+        f"{joint.left:.3g} N·m. The log has no fault." in diagnosis.verdict
+    )
 
 
 def test_planted_armature_is_found(tmp_path: Path) -> None:

@@ -56,11 +56,11 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
 
 
 def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
-    values = {name: diagnosis.left_over(name) for name in ("torque", "as_logged", "left")}
+    values = {name: diagnosis.left_over(name) for name in ("torque", "unchanged", "left")}
     return [
         ("Torque", f"{significant(values['torque'], 3)} N·m", "rms over the joints"),
-        ("Left by the plain fit", f"{significant(values['as_logged'], 3)} N·m", "log as it is, held-out seconds"),
-        ("Left now", f"{significant(values['left'], 3)} N·m", "held-out seconds"),
+        ("Left by the model as given", f"{significant(values['unchanged'], 3)} N·m", "held-out seconds"),
+        ("Left with what is named", f"{significant(values['left'], 3)} N·m", "held-out seconds"),
     ]
 
 

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_core.text.number_words import percent
 from nmt_diagnose.units.unit_group import UnitGroup
 from nmt_robots.bodies.body_finding import BodyFinding, body_finding, without_factor
 from nmt_robots.log.joint_log import Array, JointLog
@@ -175,7 +174,8 @@ class RobotDiagnosis:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
 
         Args:
-            which: ``torque``, ``as_logged`` (plain fit of the log as it is), ``plain`` or ``left``.
+            which: ``torque``, ``unchanged`` (model as given), ``as_logged`` (plain fit of the log as it is), ``plain`` or
+                ``left``.
         """
         values = [getattr(joint, which) for joint in self.joints if joint.mechanics is not None]
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
@@ -191,20 +191,17 @@ class RobotDiagnosis:
         judged = [joint for joint in self.joints if joint.mechanics is not None]
         if not judged:
             return "No joint moves enough to be judged."
-        faults = [finding for finding in self.findings if finding.fault]
-        closed = 1.0 - self.left_over("left") / self.left_over("as_logged")
-        log = "The log is as it should be" if not faults else f"The log has {len(faults)} faults" if len(
-            faults
-        ) > 1 else "The log has one fault"  # fmt: skip
+        faults = sum(finding.fault for finding in self.findings)
+        log = f"The log has {faults} faults." if faults > 1 else f"The log has {'one' if faults else 'no'} fault."
         differing = sum(joint.differs for joint in judged)
         open_joints = sum(not joint.differs and not joint.is_as_in_the_model for joint in judged)
         unknown = f"; {open_joints} without a known cause" if open_joints else ""
         bodies = self.bodies.words if self.bodies is not None else ""
         bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
         return (
-            f"{bodies}{log}. Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}."
-            f" Of the torque that the plain fit leaves over, {percent(max(closed, 0.0))} is gone on motion that no fit "
-            f"has seen ({self.left_over('as_logged'):.3g} to {self.left_over('left'):.3g} N·m rms over the joints)."
+            f"{bodies}Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. On motion "
+            f"that no fit has seen the model as given leaves {self.left_over('unchanged'):.3g} N·m of the torque (rms over "
+            f"the joints), with what is named {self.left_over('left'):.3g} N·m. {log}"
         )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -221,7 +218,9 @@ class RobotDiagnosis:
             "bodies": None if self.bodies is None else self.bodies.to_mapping(),
             "reading": self.reading.text(),
             "readings_that_fit_as_well": [reading.text() for reading in self.as_well],
-            "torque_rms": {name: self.left_over(name) for name in ("torque", "as_logged", "plain", "left")},
+            "torque_rms": {
+                name: self.left_over(name) for name in ("torque", "unchanged", "as_logged", "plain", "left")
+            },
             "joints": [joint.to_mapping() for joint in self.joints],
             "next_motion": [request.to_mapping() for request in self.next.requests],
             "other_logs": [item.to_mapping() for item in self.others],

@@ -199,9 +199,9 @@ class RobotDiagnosis:
         bodies = self.bodies.words if self.bodies is not None else ""
         bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
         return (
-            f"{bodies}Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. On motion "
-            f"that no fit has seen the model as given leaves {self.left_over('unchanged'):.3g} N·m of the torque (rms over "
-            f"the joints), with what is named {self.left_over('left'):.3g} N·m. {log}"
+            f"{bodies}Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. "
+            f"On motion that no fit has seen the model as given leaves {self.left_over('unchanged'):.3g} N·m of the "
+            f"torque (rms over the joints), with what is named {self.left_over('left'):.3g} N·m. {log}"
         )
 
     def to_mapping(self) -> dict[str, Any]:

@@ -174,8 +174,8 @@ class RobotDiagnosis:
         """Torque left on held-out seconds, rms over the joints that were judged, N·m.
 
         Args:
-            which: ``torque``, ``unchanged`` (model as given), ``as_logged`` (plain fit of the log as it is), ``plain`` or
-                ``left``.
+            which: ``torque``, ``unchanged`` (model as given), ``as_logged`` (plain fit of the log as it is), ``plain``
+                or ``left``.
         """
         values = [getattr(joint, which) for joint in self.joints if joint.mechanics is not None]
         return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")

@@ -50,7 +50,7 @@ def test_a_goal_without_nodes_is_refused_in_a_sentence(
         ),
         ((str(tmp_path / "out"), "--domain", "500"), "from 0 to 232"),
         ((str(tmp_path),), "goal.json cannot be read"),
-        ((str(tmp_path / "other"),), "no goal of a run"),
+        ((str(tmp_path / "other"),), "not a goal of a run"),
         ((str(tmp_path / "empty"),), "holds no plan of a run"),
     ):
         assert main(["goal", *words]) == 2

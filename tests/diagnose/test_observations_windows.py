@@ -384,7 +384,7 @@ def test_sweeps_are_passed_over_with_a_sentence(noisy: tuple[Rig, Path], tmp_pat
         return dataclasses.replace(message, test=int(kind))  # type: ignore[type-var]
 
     observations = read_observations([altered(bag, tmp_path / "sweep", events=events)], rig)
-    assert any("a sweep test" in note and "no steady state" in note for note in observations.notes)
+    assert any("a sweep test" in note and "not a steady state" in note for note in observations.notes)
     assert [level.index for level in observations.tests[0].levels] == [1, 2, 3]  # type: ignore[union-attr]
 
 

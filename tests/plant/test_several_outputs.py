@@ -120,7 +120,7 @@ def test_what_is_put_out_is_measured_at_every_exciter():
     [
         ((DriveTerm(2, 1, 60.0),), "beyond the voltage limit"),
         ((DriveTerm(3, 1, 0.1),), "exciter 3, but there are 2"),
-        ((DriveTerm(1, 1, 0.1),), "is no term"),
+        ((DriveTerm(1, 1, 0.1),), "is not a term"),
         ((DriveTerm(2, 150, 0.1),), "half the sample rate"),
         ((DriveTerm(2, 1, float("nan")),), "must be finite"),
     ],

@@ -67,7 +67,7 @@ def test_a_base_that_yields_takes_inertia_from_the_joint(tmp_path: Path) -> None
     ("text", "words"),
     [
         ("<rig/>", "neither MJCF nor URDF"),
-        ('<mujoco><worldbody><body><joint type="ball"/><geom size="1"/></body></worldbody></mujoco>', "no hinge"),
+        ('<mujoco><worldbody><body><joint type="ball"/><geom size="1"/></body></worldbody></mujoco>', "not a hinge"),
         ("<mujoco><worldbody/></mujoco>", "no joint"),
         ("<mujoco><worldbody><body></worldbody></mujoco>", "cannot be read as a robot"),
     ],

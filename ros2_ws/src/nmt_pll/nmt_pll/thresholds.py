@@ -322,7 +322,7 @@ class SelfExcitedThresholds:
     )  # fmt: skip
     largest_integrated_log_error: float = threshold(
         0.2, "1",
-        "Bounds the wind-up.",
+        "Bounds the wind-up of the integral part.",
         "tests/pll/test_self_excited_loop.py::test_silence_would_not_have_stopped_it",
     )  # fmt: skip
     feedback_adaption_rate: float = threshold(

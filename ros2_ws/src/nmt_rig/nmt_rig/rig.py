@@ -343,7 +343,7 @@ def load_rig(path_or_name: str | Path, overrides: Sequence[str] = (), vibrating:
         2.0
         >>> load_rig("wing")
         Traceback (most recent call last):
-        nmt_core.errors.BenchError: there is not a rig wing...
+        nmt_core.errors.BenchError: there is no rig wing...
     """
     path = find_rig(path_or_name)
     if path.suffix.lower() in ROBOT_ENDINGS:

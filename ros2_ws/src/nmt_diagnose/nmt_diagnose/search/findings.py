@@ -234,7 +234,7 @@ def _singles(
         and modes.exceed_priors(null.fit.parametrisation, null.fit.theta)
     ):
         search.tell("bringing the modes of explanations to the measured ones")
-        singles = best_of([*singles, *search.from_modes(null, modes)])
+        singles = best_of([*singles, *search.from_modes(modes)])
     return singles
 
 

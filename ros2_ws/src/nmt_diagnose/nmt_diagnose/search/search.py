@@ -547,9 +547,10 @@ class Search:
         found = [self.added(base, score) for score in wanted]
         return best_of([explanation for explanation in found if explanation is not None])
 
-    def from_modes(self, null: FittedExplanation, modes: LowLevelModes) -> list[FittedExplanation]:
+    def from_modes(self, modes: LowLevelModes) -> list[FittedExplanation]:
         """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""
-        parametrisation, theta = self.parametrisation(), null.fit.theta
+        # The model alone may have been bent towards resonances that it cannot make.
+        parametrisation, theta = self.parametrisation(), np.zeros(len(self.parameters))
         begun = [
             (
                 self.parametrisation((candidate,)),

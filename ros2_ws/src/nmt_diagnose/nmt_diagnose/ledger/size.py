@@ -24,7 +24,6 @@ from nmt_diagnose.measurements.measurement import Observations, is_broad_band, l
 from nmt_diagnose.observations.observables import Natural, Part, parts_where, with_natural
 from nmt_diagnose.prediction.rig_parts import same_motion
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.rig import Rig
 
 _PERCENT = 100.0
 _SENSORS = ("response_sensor", "force_sensor")
@@ -70,10 +69,16 @@ def _parts_of(kind: str) -> tuple[Part, ...]:
     return parts_where(lambda facts: facts.matters == kind)
 
 
-def measured_size(data: Data, found: FittedExplanation) -> Size:
-    """How far an explanation lies from itself without its effects, at the level or line where they differ most."""
+def measured_size(data: Data, found: FittedExplanation, members: Sequence[int] = ()) -> Size:
+    """How far an explanation lies from itself without its effects, at the level or line where they differ most.
+
+    Args:
+        data: what was fitted.
+        found: the explanation.
+        members: numbers of the effects that are taken away; empty = as :func:`without_strength`.
+    """
     fitted = found.fit
-    without = predicted(data, fitted.parametrisation, without_strength(found), fitted.prediction)
+    without = predicted(data, fitted.parametrisation, without_strength(found, members), fitted.prediction)
     if without is None:  # it has no solution without them
         return Size({}, True)
     return change_size(data, data.forward.difference(fitted.prediction.values, without.values))
@@ -281,7 +286,7 @@ def beside_simpler(
     sensor, such as its gain, is itself the finding on the chain. An effect that the evidence demands is present, even
     where refitted parameters leave little residual in its place: whether it matters is the size of its own change.
     """
-    numbers = [k for k, candidate in enumerate(more.candidates) if candidate.cause not in less.fitted.causes]
+    numbers = _added(more, less)
     loop = any(more.candidates[k].site.location.kind == "controller" for k in numbers)
     left, of_less, alone = largest_left(data, less, wanted, loop), data, less
     if left < 1.0 and own_chain is not None:
@@ -293,7 +298,7 @@ def beside_simpler(
     evidence = more.fit.log_evidence - max(less.fit.log_evidence, alone.fit.log_evidence)
     if evidence >= THRESHOLDS.verdict.sure_log_evidence:
         share = evidence / THRESHOLDS.verdict.sure_log_evidence
-        return Facts(left_without=share, change=over(measured_size(data, more), wanted))
+        return Facts(left_without=share, change=over(measured_size(data, more, numbers), wanted))
     relieved = relief(data, more, less, wanted)
     if relieved.left_without < max(left, 1.0):
         return replace(relieved, left_without=max(left, relieved.left_without))
@@ -309,18 +314,13 @@ def is_demanded(found: FittedExplanation, null: FittedExplanation) -> bool:
     """
     sensors = [k for k, candidate in enumerate(found.candidates) if candidate.site.location.kind in _SENSORS]
     rig = found.fit.parametrisation.rig(found.fit.theta) if sensors else None
-    if rig is not None and any(same_motion(rig, _without(found, number)) for number in sensors):
+    if rig is not None and any(
+        same_motion(rig, found.fit.parametrisation.rig(without_strength(found, (number,)))) for number in sensors
+    ):
         return False
     needs = (found.beside.get(number, Facts(left_without=0.0)) for number in range(len(found.candidates)))
     surely = found.fit.log_evidence - null.fit.log_evidence >= THRESHOLDS.verdict.sure_log_evidence
     return surely and all(pass_all((NEEDED, WITHIN), facts) for facts in needs)
-
-
-def _without(found: FittedExplanation, number: int) -> Rig:
-    """The rig of an explanation with one of its effects at zero strength."""
-    theta, selected = found.fit.theta.copy(), found.fit.parametrisation.index_of(number)
-    theta[selected] = at_zero(found.candidates[number], theta[selected])
-    return found.fit.parametrisation.rig(theta)
 
 
 def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted: Mapping[str, float]) -> Facts:
@@ -329,7 +329,13 @@ def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted:
     Several errors of 3 standard deviations with one cause are plausible one by one and not together.
     """
     fall = (tension(data, less) - tension(data, more)) / relief_that_counts(data, less)
-    return Facts(left_without=fall, change=math.nan if fall < 1.0 else over(measured_size(data, more), wanted))
+    change = math.nan if fall < 1.0 else over(measured_size(data, more, _added(more, less)), wanted)
+    return Facts(left_without=fall, change=change)
+
+
+def _added(more: FittedExplanation, less: FittedExplanation) -> tuple[int, ...]:
+    """Numbers of the effects that an explanation has and another lacks."""
+    return tuple(k for k, candidate in enumerate(more.candidates) if candidate.cause not in less.fitted.causes)
 
 
 def tension(data: Data, found: FittedExplanation) -> float:
@@ -442,10 +448,10 @@ def size_of_change(observations: Observations, used: BoolArray, sigma: FloatArra
     return Size(values, bool(np.any(np.abs(change[unsized] / sigma[unsized]) > THRESHOLDS.verdict.visible_sigmas)))
 
 
-def without_strength(found: FittedExplanation) -> FloatArray:
-    """θ of an explanation with the effects that it needs at zero strength, all of them where it needs none."""
+def without_strength(found: FittedExplanation, members: Sequence[int] = ()) -> FloatArray:
+    """θ of an explanation with some effects at zero strength: ``members``, else those it needs, else all."""
     theta = found.fit.theta.copy()
-    for number in found.stated or range(len(found.candidates)):
+    for number in members or found.stated or range(len(found.candidates)):
         candidate = found.candidates[number]
         selected = found.fit.parametrisation.index_of(number)
         theta[selected] = at_zero(candidate, theta[selected])

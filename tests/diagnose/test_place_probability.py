@@ -11,8 +11,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from nmt_diagnose.effects.location import Cause, Explanation, Location
-from nmt_diagnose.ledger.comparison import Hypotheses
+from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass, Hypotheses, by_plain_effect
 from nmt_diagnose.ledger.diagnosis import Ranked, Share
+from nmt_diagnose.ledger.gap import ClosedShare
+from nmt_diagnose.ledger.size import IMITATION
 from nmt_diagnose.say.sentences import place_words
 from nmt_diagnose.thresholds import THRESHOLDS
 
@@ -114,3 +116,18 @@ def test_what_is_too_small_to_matter_has_only_the_effects_that_the_evidence_dema
     small = everything.small
     assert small is not None
     assert len(small.candidates) == effects
+
+
+@pytest.mark.parametrize(("alone", "first"), [(0.995, 1), (0.97, 2)])
+def test_an_effect_that_closes_as_much_as_it_and_another_is_the_answer(alone: float, first: int) -> None:
+    """Two laws that may imitate a third are passed over for one that leaves nothing and closes the gap alone."""
+    single, both = found(LEFT, 4), pair(LEFT)
+    single.explanation = Explanation(both.explanation.causes[:1])
+    classes = (EquivalentClass((both,), 0.3, 1.0, (IMITATION,)), EquivalentClass((single,), 0.0, 0.0))
+    before = Comparison(0.0, 0.7, classes, {}, 50.0, {"unknown": 0.7, both.explanation.label: 0.3})
+    shares = {
+        it.head.explanation: ClosedShare(9.0, 1.0, 1.0, p, p, p) for it, p in zip(classes, (1.0, alone), strict=True)
+    }
+    after = by_plain_effect(before, shares)
+    assert len(after.classes[0].head.stated) == first
+    assert (after.classes[0].probability, after.unknown) == ((1.0, 0.0) if first == 1 else (0.3, 0.7))

@@ -15,6 +15,7 @@ from nmt_diagnose.effects.location import Explanation, Location
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Data, Metric
 from nmt_diagnose.fit.noise import chance_of
+from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN
 from nmt_diagnose.ledger.gap import ClosedShare
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.rules import OF_EFFECTS, SINGLE, pass_all
@@ -32,6 +33,8 @@ from nmt_diagnose.ledger.sources import SourceLocation, places
 from nmt_diagnose.ledger.warnings import beyond_physical_limits
 from nmt_diagnose.thresholds import THRESHOLDS
 
+_AS_MUCH = 0.01
+"""Of a gap: shares that differ by less close as much."""
 _DIGITS = 6
 """Of the probability by which classes are ordered: one that is practically none comes before no other."""
 
@@ -138,6 +141,8 @@ class Comparison:
 def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedShare]) -> Comparison:
     """Rank a single effect first if it alone closes most of a gap that several together may not explain.
 
+    So it is if it leaves nothing that matters and closes as much on held-out data as the several.
+
     An effect that closes most of a gap alone is established, whatever else acts.
 
     Args:
@@ -156,7 +161,8 @@ def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedS
     alone = [
         it
         for it in comparison.classes[1:]
-        if it.objections and set(it.head.explanation.causes) < causes and value.get(id(it), -math.inf) >= least
+        if set(it.head.explanation.causes) < causes
+        and value.get(id(it), -math.inf) >= (least if it.objections else of_two - _AS_MUCH)
     ]
     if not alone:
         return comparison
@@ -164,7 +170,13 @@ def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedS
     causes = set(single.head.explanation.causes)
     acts = sum(it.given_library for it in comparison.classes if causes <= set(it.head.explanation.causes))
     others = (it for it in comparison.classes if it is not single)
-    return replace(comparison, classes=(replace(single, given_library=acts), *others))
+    if single.objections:
+        return replace(comparison, classes=(replace(single, given_library=acts), *others))
+    # It leaves nothing that matters and closes as much: the second effect is no part of the answer.
+    unknown = max(0.0, 1.0 - acts - comparison.none)
+    labels = {NULL: comparison.none, UNKNOWN: unknown, single.head.explanation.label: acts}
+    first = replace(single, probability=acts, given_library=acts)
+    return replace(comparison, classes=(first, *others), unknown=unknown, by_label=labels)
 
 
 def source_locations(data: Data, base: FittedExplanation) -> list[SourceLocation]:

@@ -70,6 +70,11 @@ def test_two_effects_that_explain_everything_stay_together(library: dict[str, Ca
     assert led((two, 0.995), (of(library, "cubic_stiffness", 0.0, REMAINS), 0.98))[0] == "cubic_stiffness+response_gain"
 
 
-def test_one_effect_that_leaves_noise_is_judged_by_its_probability(library: dict[str, Candidate]) -> None:
+@pytest.mark.parametrize(("alone", "leads"), [(0.985, 1), (0.97, 2)])
+def test_one_effect_that_leaves_noise_leads_where_it_closes_as_much(
+    library: dict[str, Candidate], alone: float, leads: int
+) -> None:
     two = of(library, "cubic_stiffness+power_law_damping", 1.0, IMITATION)
-    assert led((two, 0.99), (of(library, "cubic_stiffness", 0.0), 0.99))[0] == "cubic_stiffness+power_law_damping"
+    effects, probability = led((two, 0.99), (of(library, "cubic_stiffness", 0.0), alone))
+    assert len(effects.split("+")) == leads
+    assert probability == pytest.approx(1.0)

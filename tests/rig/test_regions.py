@@ -14,7 +14,7 @@ from scipy.sparse.linalg import eigsh, splu
 
 from nmt_core.errors import BenchError
 from nmt_rig.model.matrix_structure import TRUNCATION, Matrices, craig_bampton
-from nmt_rig.model.regions import spread_of
+from nmt_rig.model.regions import Support, spread_of, supported
 from nmt_rig.rig import load_rig
 from nmt_rig.rig_model import build_structure
 from nmt_rig.rig_snapshot import rig_text
@@ -97,6 +97,14 @@ def test_a_clamp_that_turns_is_that_of_the_full_model_however_soft(model, softer
     assert exact[0] < (1.0 - 0.1 * np.log2(softer)) * before[0]
     found = frequencies(model, f"structure.regions.clamp.rotational_compliance_rad_nm={compliance}")
     np.testing.assert_allclose(found, exact, rtol=1e-3)
+
+
+def test_rows_of_a_support_that_no_mode_moves_have_no_pattern():
+    """A rotation that nothing couples to the structure: one pattern of the translation, none of the rotation."""
+    stiffness = np.diag([2.0, 2.0, 1.0, 5.0]) - np.diag([1.0, 1.0, 0.0], 1) - np.diag([1.0, 1.0, 0.0], -1)
+    rows = [np.array(each, dtype=np.int64) for each in ([2], [3], [])]
+    found = supported(Matrices(np.eye(4), stiffness), [0], 1, [Support("clamp", 1, *rows)])
+    assert {kind: len(columns) for (_, kind), columns in found.patterns.items()} == {0: 1, 1: 0}
 
 
 SLOPES = {

@@ -23,6 +23,8 @@ from nmt_rig.model.matrix_structure import Matrices, craig_bampton
 Rows = NDArray[np.int64]
 # Modes of the held structure whose reactions a support may give way to, and share of the largest reaction left out.
 _REACTIONS, _SMALLEST = 12, 1e-4
+# Springs that take half of ω², over the stiffness of their rows: smaller ones are rounding of a reaction that is zero.
+_NO_REACTION = 1e-12
 
 
 @dataclass(frozen=True)
@@ -134,9 +136,11 @@ def _soft(stiffness: Any, free: Rows, rows: Rows, springs: Any, reactions: Any, 
     # To first order compliances c S⁻¹ take c ω⁴ r·S⁻¹r of the ω² of a mode.
     losses = np.einsum("rk,rk->k", reactions, splu(springs).solve(reactions))
     mode = int(np.argmax(losses))
-    softness = 0.5 / float(squares[mode] * losses[mode])
+    softest = 2.0 * float(squares[mode] * losses[mode])
+    if softest * springs.diagonal().max() <= _NO_REACTION * stiffness.diagonal()[rows].max():
+        return np.zeros_like(reactions)  # no mode moves it
     every = np.concatenate([free, rows])
-    held = sparse.block_diag([sparse.csr_matrix((free.size, free.size)), springs / softness])
+    held = sparse.block_diag([sparse.csr_matrix((free.size, free.size)), springs * softest])
     loads = np.vstack([np.zeros((free.size, reactions.shape[1])), reactions])
     return splu(sparse.csc_matrix(stiffness[every][:, every] + held)).solve(loads)[free.size :]
 

@@ -266,7 +266,7 @@ def _ranking(d: Diagnosis) -> Table:
         if not partial:
             rows.append((p, Row((_probability_cell(p, accepted), text, "", "", "", ""))))
         elif label == UNKNOWN:
-            rows.append((-1.0, Row(("beside it", text, "", "", "", ""))))
+            rows.append((-1.0, Row(("in addition", text, "", "", "", ""))))
     rows.sort(key=lambda item: -item[0])
     head = (
         Column("Probability", "among the library" if partial else "", "text"),

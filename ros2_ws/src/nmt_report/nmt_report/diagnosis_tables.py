@@ -72,7 +72,7 @@ def ranking_table(diagnosis: Diagnosis) -> Table | None:
     for cells in within:
         table.add_row("within the first", "", *map(Text, cells))
     if partial:
-        table.add_row("", "", Text(f"{effect_text(UNKNOWN)} acts beside it"), "", "", "")
+        table.add_row("", "", Text(f"{effect_text(UNKNOWN)} acts, too"), "", "", "")
     return table
 
 

@@ -141,9 +141,8 @@ class Comparison:
 def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedShare]) -> Comparison:
     """Rank a single effect first if it alone closes most of a gap that several together may not explain.
 
-    So it is if it leaves nothing that matters and closes as much on held-out data as the several.
-
-    An effect that closes most of a gap alone is established, whatever else acts.
+    An effect that closes most of a gap alone is established, whatever else acts. One that leaves nothing that matters
+    and closes as much of the gap on held-out data as the several is the whole answer.
 
     Args:
         comparison: of all explanations.

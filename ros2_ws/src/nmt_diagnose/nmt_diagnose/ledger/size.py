@@ -371,7 +371,7 @@ def strained_chain(data: Data, found: FittedExplanation, wanted: Mapping[str, fl
         does = f" ({significant(_PERCENT * size.values[kind], 2)} % of {SIZE_NAMES[kind]})" if kind else ""
         parts.append(f"{data.chain_names[j]} {abs(float(errors[j])):.1f} tolerances{does}")
     return (
-        f"The measuring chain is further off than is believed of it: {', '.join(parts)}; nothing is left that matters "
+        f"The errors of the measuring chain are implausible: {', '.join(parts)}; nothing is left that matters "
         "where it stays within three, so no effect is claimed for it.",
     )
 

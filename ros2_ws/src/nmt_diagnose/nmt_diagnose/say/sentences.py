@@ -121,7 +121,7 @@ def _beside(ranking: Sequence[Ranked]) -> str:
         effects = other.effect.split(" + ")
         if set(head) < set(effects) and math.isfinite(other.closed.value):
             second = joined(_title(name) for name in effects if name not in head)
-            return f"; with {second} beside it {percent(other.closed.value, 1)} of the gap"
+            return f"; with {second} added it closes {percent(other.closed.value, 1)} of the gap"
     return ""
 
 
@@ -173,8 +173,8 @@ def _with_values(explanation: Explanation, found: Mapping[str, Value]) -> str:
 def relieving(explanation: Explanation, found: Mapping[str, Value]) -> str:
     """Sentence on an effect that only moves model and measuring chain back to their priors."""
     return (
-        f"With {_with_values(explanation, found)} beside it parameters of the model and errors of the measuring chain "
-        "stay nearer to what is believed of them; no row needs it, so it is not claimed."
+        f"With {_with_values(explanation, found)} added, parameters of the model and errors of the measuring chain "
+        "stay closer to their priors; no row needs it, so it is not claimed."
     )
 
 

@@ -46,7 +46,7 @@ def test_a_pendulum_with_friction_is_one_thing_in_headline_and_table(tmp_path: P
     assert head["effect"] == "cubic_stiffness"
     assert head["given_library"]
     assert both["effect"] == "cubic_stiffness + second_friction_contact"
-    assert "with friction contact beside it" in found["sentences"][1]
+    assert "with friction contact added it closes" in found["sentences"][1]
     # The law is read from one of two decays; its file closes 89 % of what is held out of both, the effect 97 %.
     assert found["law"]["closed_by_file"] < found["gap"]["low"]
     assert any(text.startswith("At the held levels the missing force acts like ") for text in found["sentences"][2:])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from nmt_diagnose.ledger.diagnosis import Gap, PlaceShare, Ranked, Recalibrated, Share, Verdict
 from nmt_diagnose.say.sentences import sentences
 
@@ -35,3 +37,26 @@ def test_parameters_that_predict_worse_close_no_share_of_a_gap() -> None:
     text = " ".join(sentences(Verdict.CALIBRATION, (), (), None, worse, (), (spring(7.0),)))
     assert "predicts data held out from the fit no better: 129.47 standard deviations rms before, 324.56 after" in text
     assert "closes" not in text
+
+
+@pytest.mark.parametrize(
+    ("ratios", "says"),
+    [
+        (
+            (1.045, 1.0453, 1.0449, 1.0492),
+            "All 4 modal masses changed by one factor, 1.046 ± 0.012: a force channel that",
+        ),
+        ((0.94, 0.938), "a force channel that reads 6.1 % too little, or responses that read 6.1 % too much"),
+        ((1.045, 1.0, 1.0449, 1.0492), ""),
+        ((1.01, 1.011, 1.009), ""),
+        ((1.06,), ""),
+    ],
+)
+def test_masses_that_change_by_one_factor_may_be_a_gain(ratios: tuple[float, ...], says: str) -> None:
+    masses = (
+        Recalibrated(f"structure.modes.{k}.modal_mass_kg", 0.8, 0.8 * ratio, 0.8 * 0.012, "kg", 0.05, 4.0)
+        for k, ratio in enumerate(ratios)
+    )
+    text = said(Verdict.CALIBRATION, *masses)
+    assert says in text
+    assert ("one factor" in text) == bool(says)

@@ -77,8 +77,8 @@ def sentences(
     if verdict is Verdict.CALIBRATION:
         return (
             "The gap lies in parameters that the model already has.",
-            f"{small or 'No unmodelled effect is needed.'} The parameters that moved most beside their uncertainty: "
-            f"{_farthest(calibration)}.",
+            f"{small or 'No unmodelled effect is needed.'} {_common_factor(calibration)}The parameters that moved most "
+            f"relative to their uncertainty: {_farthest(calibration)}.",
             _how_far(gap, "Re-fitting them"),
         )
     place = where_words(where)
@@ -103,7 +103,7 @@ def sentences(
     if head.equivalents:
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     which += place_words(head)
-    which += _beside(ranking)
+    which += _with_second(ranking)
     far = _how_far(gap, "Adding it") + f" The model as it was given stands at {gap.as_given:.2f}."
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
 
@@ -114,7 +114,35 @@ def _farthest(calibration: Sequence[Recalibrated]) -> str:
     return "; ".join(f"{m.name} {value_text(m.start, math.nan)} to {value_text(m.to, m.std, m.unit)}" for m in moved)
 
 
-def _beside(ranking: Sequence[Ranked]) -> str:
+_MODAL_MASS = "modal_mass_kg"
+_FEWEST_MASSES = 2  # one mass that moved has no factor in common with another
+_UNLIKE_SHARE = 0.25  # of the common change, by which single masses may differ from it
+
+
+def _common_factor(calibration: Sequence[Recalibrated]) -> str:
+    """A factor that all modal masses have in common; empty where they have none.
+
+    Responses per force go with 1/m: a gain of the force, or the inverse one of all responses, does the same.
+    """
+    masses = [item for item in calibration if item.name.endswith(_MODAL_MASS)]
+    if len(masses) < _FEWEST_MASSES:
+        return ""
+    ratios = [item.to / item.start for item in masses]
+    # The uncertainties have the scale in common, so a mean is no surer than the surest of them.
+    std = min(item.std / item.start for item in masses)
+    change = sum(ratios) / len(ratios) - 1.0
+    unlike = max(abs(ratio - 1.0 - change) for ratio in ratios)
+    if abs(change) < THRESHOLDS.verdict.excess_sigmas * std or unlike > max(_UNLIKE_SHARE * abs(change), std):
+        return ""
+    reads = percent(abs(change), 1)
+    return (
+        f"All {len(masses)} modal masses changed by one factor, {value_text(1.0 + change, std)}: a force channel that "
+        f"reads {reads} too {'much' if change > 0.0 else 'little'}, or responses that read {reads} too "
+        f"{'little' if change > 0.0 else 'much'}, would look the same. "
+    )
+
+
+def _with_second(ranking: Sequence[Ranked]) -> str:
     """The share of the gap that a partial explanation closes with a second effect, where that has been fitted."""
     head = ranking[0].effect.split(" + ")
     for other in ranking[1:] if not ranking[0].adequate else ():

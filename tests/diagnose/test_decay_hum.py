@@ -53,6 +53,7 @@ def test_a_line_beside_the_mode_is_taken_out(
     taken, found = separated(decay(frequency_hz, hardening=hardening), hum)
     assert [each.frequency_hz for each in found] == pytest.approx([hertz], abs=0.02)
     assert found[0].amplitude == pytest.approx(amplitude, abs=5e-4)
+    assert abs(found[0].amplitude - amplitude) < 4.0 * found[0].std < 2e-3
     assert np.std(taken - hum) < 3e-4
 
 

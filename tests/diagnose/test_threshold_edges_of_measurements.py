@@ -219,7 +219,7 @@ def decay_notes(nodes: int = 9, other: float = 0.0) -> int:
     """Notes on a decay of so many amplitudes, in which other modes ring with a share of its motion."""
     good = [node()] * nodes
     decay: Any = SimpleNamespace(good=good, nodes=good, others=np.full(nodes, other**2), hum=())
-    return len(notes_of("decay", decay))
+    return len(notes_of("decay", decay, {}))
 
 
 # -- predictions ------------------------------------------------------------------------------------------------------

@@ -191,9 +191,17 @@ def sigma_of(observations: Observations) -> FloatArray:
         held = selected & (rows.part == Part.PHASE_ERROR)
         sigma[held] = np.hypot(sigma[held], math.radians(TOLERANCES.lock_phase_deg))
         for channel in np.unique(rows.channel[selected & (rows.part == Part.LINE)]):
-            same = selected & (rows.channel == channel)
-            sizes = observations.values[same & (rows.part == Part.LOG_MAGNITUDE)]
-            lines = same & (rows.part == Part.LINE)
+            sizes = channel_sizes(observations, number, int(channel))
+            lines = selected & (rows.channel == channel) & (rows.part == Part.LINE)
             if sizes.size:
-                sigma[lines] = np.hypot(sigma[lines], chain.mains * float(np.exp(sizes.max())))
+                sigma[lines] = np.hypot(sigma[lines], chain.mains * float(sizes.max()))
     return sigma
+
+
+def channel_sizes(observations: Observations, number: int, channel: int) -> FloatArray:
+    """Amplitudes of a channel's fundamental in a test, in the channel's unit; empty where no row holds them."""
+    rows, test = observations.rows, observations.tests[number]
+    theirs = (rows.test == number) & (rows.channel == channel)
+    if test.given_channel is not None and test.channels[channel] is test.given_channel:
+        return rows.amplitude[theirs & (rows.part == Part.LOG_FREQUENCY)]
+    return np.exp(observations.values[theirs & (rows.part == Part.LOG_MAGNITUDE)])

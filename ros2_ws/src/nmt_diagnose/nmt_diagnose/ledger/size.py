@@ -16,7 +16,7 @@ from nmt_core.text.number_words import significant
 from nmt_diagnose.fit.candidate_starts import at_zero, strength_parameter
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import Data, FitResult, chain_errors_at, predicted
-from nmt_diagnose.fit.noise import sigma_of
+from nmt_diagnose.fit.noise import channel_sizes, sigma_of
 from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.row_scatter import row_scatter
 from nmt_diagnose.ledger.rules import LEFT, MATTERS, NEEDED, OF_EFFECTS, WITHIN, pass_all
@@ -500,9 +500,10 @@ def large_lines(observations: Observations, wanted: float) -> BoolArray:
     for number, row in enumerate(lines):
         test = observations.tests[rows.test[row]]
         levels = locked_levels([test])
-        fundamentals = levels[rows.level[row]].fundamentals if levels else ()
-        if fundamentals and fundamentals[rows.channel[row]] > 0.0:
-            share[number] = observations.values[row] / fundamentals[rows.channel[row]]
+        sizes = levels[rows.level[row]].fundamentals[rows.channel[row] :][:1] if levels else ()
+        sizes = sizes or channel_sizes(observations, int(rows.test[row]), int(rows.channel[row]))
+        if len(sizes) and (size := float(np.median(sizes))) > 0.0:
+            share[number] = observations.values[row] / size
     large = np.zeros(len(rows), dtype=bool)
     keys = np.stack([rows.test[lines], rows.channel[lines], np.round(rows.frequency_hz[lines]).astype(np.int64)])
     for key in np.unique(keys, axis=1).T:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, cast
 
@@ -59,7 +59,8 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 from nmt_signals.channel_faults.clipping import clipping_level
-from nmt_signals.decays.decay_hum import without_hum
+from nmt_signals.channel_faults.mains_lines import MAINS_HZ
+from nmt_signals.decays.decay_hum import Hum, without_hum
 from nmt_signals.decays.decay_nodes import Node, ratio_at
 from nmt_signals.decays.decay_reading import DEMODULATION_WIDTHS, DecayReading, read_decay
 from nmt_signals.decays.decay_signal import Ridge, demodulated
@@ -84,7 +85,7 @@ class RecordedDecay(Driven):
     WORDS: ClassVar[str] = "ring-down"
     free: ClassVar[bool] = True
     series: ClassVar[LevelSeries] = LevelSeries(interleaved=True, rising=True)
-    unexcited: ClassVar[tuple[Part, ...]] = (Part.LIMIT,)
+    unexcited: ClassVar[tuple[Part, ...]] = (Part.LIMIT, Part.LINE)
 
     name: str
     drive_point: int
@@ -396,9 +397,13 @@ def ring_down_observations(
     table = RowTable()
     floors = settings.floors
     amplitudes = add_nodes(table, decay.good, stretch, settings, decay.others)
+    hum = {model_channel.name: decay.hum}
     for index, other in enumerate(others, start=1):
         samples = stretch.row(other.name)
-        samples, _ = without_hum(samples - samples.mean(), stretch.sample_rate, decay.ridge, DECAYS.switch_off_periods)
+        samples, lines = without_hum(
+            samples - samples.mean(), stretch.sample_rate, decay.ridge, DECAYS.switch_off_periods
+        )
+        hum[other.name] = lines
         values = demodulated(samples, decay.slow.cycles, decay.slow.width)[:: decay.slow.stride]
         for level, node in enumerate(decay.good):
             ratio, std = ratio_at(node, decay.slow, values)
@@ -409,12 +414,16 @@ def ring_down_observations(
             std = math.hypot(std, 2.0 * _shift(node, _lowest(decay.good), decay.others[level]))
             table.add(Part.LOG_MAGNITUDE, size, std, floors.decay_shape, place, index, 1)
             table.add(Part.PHASE, cmath.phase(ratio), std, floors.decay_shape, place, index, 1)
+    first = decay.good[0]
+    place = Place(0, stretch.start_s + first.time_s, first.omega / (2.0 * math.pi), first.amplitude)
     for index, recorded in enumerate((model_channel, *others)):
-        if (limit := clipping_level(stretch.row(recorded.name))) > 0.0:
-            first = decay.good[0]
-            place = Place(0, stretch.start_s + first.time_s, first.omega / (2.0 * math.pi), first.amplitude)
+        samples = stretch.row(recorded.name)
+        if (limit := clipping_level(samples)) > 0.0:
             add_limit(table, limit, believed_limits(view).get(channels[recorded.name].name), place, index, 1)
-    notes += notes_of(name, decay)
+        for hertz, line in _mains_of(hum[recorded.name]):
+            floor = floors.harmonic * 0.5 * float(np.ptp(samples))
+            table.add(Part.LINE, line.amplitude, line.std, floor, place._replace(frequency_hz=hertz), index, 1)
+    notes += notes_of(name, decay, hum)
     test = RecordedDecay(
         name,
         view.rig.drive_point,
@@ -425,6 +434,16 @@ def ring_down_observations(
         view.rig.exciter_points[1:],
     )
     return table.observations(test, notes)
+
+
+def _mains_of(lines: Sequence[Hum]) -> list[tuple[float, Hum]]:
+    """Lines at the fundamental of the mains, each with its nominal frequency in Hz."""
+    return [
+        (hertz, line)
+        for line in lines
+        for hertz in MAINS_HZ
+        if abs(line.frequency_hz / hertz - 1.0) < THRESHOLDS.prediction.line_width
+    ]
 
 
 def add_nodes(
@@ -534,8 +553,8 @@ def _chosen(found: Sequence[Ridge], frequency_hz: float, view: ModelView, second
     raise BenchError(f"it decays at {frequencies} Hz, where the model {view.rig.name} has no mode (it has {modes} Hz)")
 
 
-def notes_of(name: str, decay: DecayReading) -> list[str]:
-    """What of a decay is not used, and why."""
+def notes_of(name: str, decay: DecayReading, hum: Mapping[str, Sequence[Hum]]) -> list[str]:
+    """What of a decay is not used, and why; ``hum`` has the lines that were taken out of each channel."""
     result = []
     if len(decay.good) < THRESHOLDS.reading.decay_few_nodes:
         result.append(
@@ -556,9 +575,10 @@ def notes_of(name: str, decay: DecayReading) -> list[str]:
             f"or noise covers the mode there (frequency known to {100.0 * worst:.2g} % only)."
         )
     result += [
-        f"{name}: a line of the mains beside the decaying mode is taken out: {hum.frequency_hz:.5g} Hz, amplitude "
-        f"{hum.amplitude:.3g} in the channel's unit."
-        for hum in decay.hum
+        f"{name}: a line of the mains is taken out of channel {channel}: {line.frequency_hz:.5g} Hz, amplitude "
+        f"{line.amplitude:.3g} in the channel's unit."
+        for channel, lines in hum.items()
+        for line in lines
     ]
     first = decay.nodes[0].first
     if first > DECAYS.switch_off_periods:

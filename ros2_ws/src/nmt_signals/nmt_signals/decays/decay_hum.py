@@ -39,10 +39,12 @@ class Hum:
     Attributes:
         frequency_hz: Hz.
         amplitude: in the channel's unit.
+        std: standard uncertainty of the amplitude.
     """
 
     frequency_hz: float
     amplitude: float
+    std: float
 
 
 def without_hum(
@@ -149,5 +151,5 @@ def _lines_in(
         amplitude = math.hypot(*solution)
         if amplitude > DECAYS.hum_sigmas * std:
             result += values
-            found.append(Hum(float(hertz), amplitude))
+            found.append(Hum(float(hertz), amplitude, std))
     return result, tuple(found)

@@ -12,6 +12,7 @@ from scipy.special import ellipk
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
+from nmt_diagnose.ledger.size import large_lines
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay, ring_down_observations
@@ -20,7 +21,7 @@ from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.forward import Forward
-from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.rig import Rig, SensorSection, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_signals.decays.decay_nodes import nodes
 from nmt_signals.decays.decay_signal import demodulated, middles, ridges, slow_amplitude, window
@@ -299,3 +300,26 @@ def test_a_viscous_decay_of_a_few_periods_has_rows_of_its_own() -> None:
     shorter = observations_of(linear(rate, 0.1 / HZ), rate, rig())
     assert not len(shorter.rows)
     assert "less than a period" in shorter.notes[0]
+
+
+def test_hum_next_to_a_decay_is_a_line_of_its_channel_and_the_model_may_have_it() -> None:
+    hertz, rate, hum = 57.0, 2048.0, 8.0
+    model = rig(modes=((hertz, RATIO),))
+    noise = np.random.default_rng(3).standard_normal((2, round(3.0 * rate)))
+    time = np.arange(noise.shape[1]) / rate
+    velocity = linear(rate, 3.0, hertz)
+    acceleration = 2.0 * np.pi * hertz * 0.4 * np.roll(velocity, -round(0.25 * rate / hertz))
+    acceleration[-20:] = 0.0
+    humming = acceleration + 0.05 * noise[1] + hum * np.cos(2.0 * np.pi * 50.01 * time)
+    observations = observations_of(velocity + 1e-4 * noise[0], rate, model, a2=humming)
+    rows = observations.rows
+    line = np.flatnonzero(rows.part == Part.LINE)
+    assert [(int(rows.channel[k]), float(rows.frequency_hz[k])) for k in line] == [(1, 50.0)]
+    assert abs(observations.values[line[0]] - hum) < 4.0 * observations.std[line[0]] < 0.1 * hum
+    assert np.flatnonzero(large_lines(observations, 0.02)).tolist() == line.tolist()
+    assert not large_lines(observations, 0.9).any()
+    sensor = SensorSection(quantity="acceleration", point=2, hum_amplitude=hum, hum_hz=50.0)
+    twin = model.model_copy(update={"sensors": [*model.sensors, sensor]})
+    forward = Forward(observations.tests, rows)
+    assert forward.predict(model).values[line] == [0.0]
+    assert forward.predict(twin).values[line] == [hum]

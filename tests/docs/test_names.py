@@ -51,11 +51,21 @@ def named(tree: ast.AST) -> Iterator[tuple[str, int]]:
             yield node.name, node.lineno
 
 
-def found(text: str) -> list[tuple[str, int]]:
-    """Refused names of a module; one without such a word is not parsed."""
+@cache
+def refused_word() -> re.Pattern[str]:
+    """A refused name as a word of code."""
     words, constants = refused()
-    if not re.search(rf"\b_*({'|'.join(words | constants)})\b", text):
+    return re.compile(rf"\b_*(?:{'|'.join(sorted(words | constants))})\b")
+
+
+TEXTS_AND_COMMENTS = re.compile(r'"""[\s\S]*?"""|"(?:[^"\\\n]|\\.)*"|#[^\n]*')
+
+
+def found(text: str) -> list[tuple[str, int]]:
+    """Refused names of a module; one without such a word in its code is not parsed."""
+    if not refused_word().search(TEXTS_AND_COMMENTS.sub("", text)):
         return []
+    words, constants = refused()
     tree = ast.parse(text)
     return [(name, line) for name, line in named(tree) if name.lstrip("_") in words or name.lstrip("_") in constants]
 

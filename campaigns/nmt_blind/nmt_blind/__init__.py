@@ -1,8 +1,9 @@
 """The blind check of the diagnosis: sealed cases, campaigns, scores, baselines, calibration.
 
-Public names, each loaded when it is asked for: :func:`make_campaign` draws and seals the cases, :func:`run_campaign`
-diagnoses them, :func:`score_campaign` opens the seal and :func:`write_sheets` writes what was reached.
-:func:`run_laboratory` diagnoses and classes the cases of another laboratory.
+Public names, each loaded when it is asked for: :func:`make_campaign` draws and seals the cases of a
+:class:`CampaignPlan`, :func:`run_campaign` diagnoses them, :func:`score_campaign` opens the seal and
+:func:`write_sheets` writes what was reached. :func:`run_laboratory` diagnoses and classes the cases of another
+laboratory.
 """
 
 from __future__ import annotations
@@ -16,9 +17,10 @@ if TYPE_CHECKING:
     from nmt_blind.campaign.run import CampaignRun, run_campaign
     from nmt_blind.campaign.score import Scores, score_campaign
     from nmt_blind.campaign.score_sheet import write_sheets
-    from nmt_blind.cases.make import Made, make_campaign
+    from nmt_blind.cases.make import CampaignPlan, Made, make_campaign
 
 __all__ = [
+    "CampaignPlan",
     "CampaignRun",
     "Made",
     "Scores",

@@ -76,6 +76,7 @@ LIBRARIES = {
     "ruamel": Library("ruamel.yaml", ">=0.17.21", "python3-ruamel.yaml", "python3-ruamel.yaml"),
     "scipy": Library("scipy", ">=1.11", "python3-scipy", "python3-scipy"),
     "sdypy": Library("sdypy-EMA", ">=0.31"),
+    "skfem": Library("scikit-fem", ">=10.0"),
     "shtab": Library("shtab", ">=1.6", apt="python3-shtab", extra="completion"),
     "sounddevice": Library("sounddevice", ">=0.4.6", extra="hardware"),
     "xarray": Library("xarray", ">=2023.6", apt="python3-xarray", extra="analysis"),
@@ -114,6 +115,10 @@ KNOWN_KEYS = frozenset(
 rich came later, with pull request 43386."""
 
 
+NOT_IN_THE_WHEEL = frozenset({"nmt_blind", "nmt_laboratories"})
+"""Packages of this clone alone."""
+
+
 @cache
 def folders() -> dict[str, Path]:
     """Folder of each Python package of the workspace and of the campaigns beside it."""
@@ -124,6 +129,12 @@ def folders() -> dict[str, Path]:
 def packages() -> tuple[str, ...]:
     """Their names."""
     return tuple(sorted(folders()))
+
+
+@cache
+def packages_of_the_wheel() -> tuple[str, ...]:
+    """Names of those that the wheel holds."""
+    return tuple(name for name in packages() if name not in NOT_IN_THE_WHEEL)
 
 
 def imports_of(folder: Path) -> set[str]:
@@ -199,7 +210,7 @@ def with_install_requires(text: str, package: str) -> str:
 
 def with_dependencies(text: str) -> str:
     """pyproject.toml with dependencies and extras of the wheel put right."""
-    every = libraries(*packages())
+    every = libraries(*packages_of_the_wheel())
     listed = "".join(f'    "{library.requirement}",\n' for library in every if not library.extra)
     text = re.sub(r"^dependencies = \[[^\]]*\]", f"dependencies = [\n{listed}]", text, count=1, flags=re.M)
     extras: dict[str, list[str]] = {}
@@ -212,7 +223,7 @@ def with_dependencies(text: str) -> str:
 
 def with_install_lines(text: str) -> str:
     """The page on installation with the lists for apt and pip put right."""
-    every = libraries(*packages())
+    every = libraries(*packages_of_the_wheel())
     from_apt = " ".join(library.apt for library in every if library.apt)
     from_pip = " ".join(
         f"'{library.requirement}'" if re.search("[<>]", library.versions) else library.requirement

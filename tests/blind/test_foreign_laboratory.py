@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from independent import laboratory_one, laboratory_two
 
 from nmt_bench.cli import main
 from nmt_blind.campaign.explain import explain_foreign
@@ -24,6 +23,7 @@ from nmt_blind.campaign.foreign_case import (
 )
 from nmt_blind.campaign.foreign_run import ForeignLine, print_lines, run_laboratory, summary, write_tables
 from nmt_core.errors import BenchError
+from nmt_laboratories import laboratory_one, laboratory_two
 
 LABORATORY_ONE = Path(__file__).resolve().parents[2].parent / "shared" / "laboratories" / "one"
 CUBIC = ForeignTruth("effect", ("effect",), (frozenset({"cubic_stiffness"}),), place=("7",), parameters={"k": 1e6})

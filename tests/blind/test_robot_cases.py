@@ -71,7 +71,7 @@ def test_a_value_is_compared_in_its_own_uncertainty() -> None:
 
 def test_a_case_is_diagnosed_once_and_tabulated(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
-    from independent.laboratory_four import make_case
+    from nmt_laboratories.laboratory_four import make_case
 
     name = make_case(tmp_path / "four", 33)
     command = (sys.executable, "-m", "nmt_bench")

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from independent.modal_simulator import Element, Simulator
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.measurements.channel import MeasuredChannel
@@ -14,6 +13,7 @@ from nmt_diagnose.measurements.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import HeldLevels, LockedLevel, Observations, RowTable
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Place
+from nmt_laboratories.modal_simulator import Element, Simulator
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 

@@ -11,8 +11,6 @@ import pytest
 import yaml
 from diagnose.simulated_levels import FORCES, chain_of_masses, held
 from diagnose.test_law import reading
-from independent.headline_campaign import CASES, model_of, structure_of, write_levels
-from independent.modal_simulator import Element
 
 from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags, diagnose_observations
@@ -21,6 +19,8 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.law.reading import refitted_laws
 from nmt_diagnose.ledger.diagnosis import PlaceShare, Verdict
 from nmt_diagnose.say.law_sentences import led_by_law
+from nmt_laboratories.headline_campaign import CASES, model_of, structure_of, write_levels
+from nmt_laboratories.modal_simulator import Element
 from nmt_report.diagnosis_words import verdict_text
 
 CUBIC = (3, "cubic", (4.0e8,), ())

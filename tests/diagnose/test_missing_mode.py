@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from independent.structures_with_more_modes import ATTACHED, HEAVIER, TRANSMISSION, MoreModes, recorded
 from tiers import with_quick
 
 from nmt_core.errors import BenchError
@@ -27,6 +26,7 @@ from nmt_diagnose.fit.low_level_modes import Modes, measured_modes, more_modes, 
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.prediction.operating_range import operating_range, receptances
 from nmt_diagnose.search import search as searching
+from nmt_laboratories.structures_with_more_modes import ATTACHED, HEAVIER, TRANSMISSION, MoreModes, recorded
 from nmt_rig.rig import Rig, load_rig, validate_rig
 from nmt_rig.rig_file import RigDocument
 from nmt_rig.rig_model import build_structure

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from independent.driven_laboratories import (
+
+from nmt_laboratories.driven_laboratories import (
     MASS_RIGS,
     LaboratoryOne,
     LaboratoryTwo,
@@ -17,9 +18,8 @@ from independent.driven_laboratories import (
     rigs_of_masses,
     rigs_of_two,
 )
-from independent.laboratory_two import drive_for, linear_response
-from independent.modal_simulator import Simulator, fundamental
-
+from nmt_laboratories.laboratory_two import drive_for, linear_response
+from nmt_laboratories.modal_simulator import Simulator, fundamental
 from nmt_rig.rig import load_rig
 
 LABORATORY_ONE = Path(__file__).resolve().parents[2].parent / "shared" / "laboratories" / "one"

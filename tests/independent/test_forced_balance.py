@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from independent.epmc_by_receptance import coulomb_force
-from independent.forced_balance import OneElement, cantilever, chain_of_one, cubic, stops
 from independent.harmonic_continuation import CubicModes, PhaseBranch, Solution
+
+from nmt_laboratories.epmc_by_receptance import coulomb_force
+from nmt_laboratories.forced_balance import OneElement, cantilever, chain_of_one, cubic, stops
 
 
 def pure(balance: OneElement, force: float) -> np.ndarray:

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from independent import laboratory_three as three
-from independent.healthy_tables import STRUCTURES, make_case
-from independent.laboratory_two import bending_roots, bending_shape
 from scipy.optimize import brentq
 
+from nmt_laboratories import laboratory_three as three
+from nmt_laboratories.healthy_tables import STRUCTURES, make_case
+from nmt_laboratories.laboratory_two import bending_roots, bending_shape
 from nmt_record.exchange.imports.imported_run import read_import
 from nmt_rig.rig import load_rig
 

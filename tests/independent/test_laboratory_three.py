@@ -6,7 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from independent.laboratory_three import DRIVEN, KINDS, RATE, Run, free_beam
+
+from nmt_laboratories.laboratory_three import DRIVEN, KINDS, RATE, Run, free_beam
 
 LENGTH, HEIGHT = 1.0, 0.008
 WAVE = math.sqrt(2.05e11 / 7850.0 * HEIGHT**2 / 12.0)

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from independent import laboratory_two as lab
-from independent.campaign import seeds_of
-from independent.modal_simulator import KINDS, Element, Simulator, fundamental, iwan
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import eigh
 
 from nmt_blind.campaign.foreign_case import read_cases
+from nmt_laboratories import laboratory_two as lab
+from nmt_laboratories.campaign import seeds_of
+from nmt_laboratories.modal_simulator import KINDS, Element, Simulator, fundamental, iwan
 
 HZ, ZETA = 20.0, 0.005
 OMEGA = 2.0 * math.pi * HZ

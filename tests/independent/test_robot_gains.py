@@ -6,8 +6,7 @@ import pytest
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
-from independent.robot_gains import compared
-
+from nmt_laboratories.robot_gains import compared
 from nmt_robots.verdict.joint_verdict import Term
 
 

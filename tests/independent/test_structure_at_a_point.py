@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from independent.structure_at_a_point import Bench, Structure, backbone_table, iwan_joint
 
 from nmt_bench.cli import main
+from nmt_laboratories.structure_at_a_point import Bench, Structure, backbone_table, iwan_joint
 
 
 def test_a_linear_structure_has_its_own_frequency_and_damping() -> None:

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from independent.structure_of_points import Drawn, diagnosed, drawn, leaves_noise_only, responses
 
 from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_laboratories.structure_of_points import Drawn, diagnosed, drawn, leaves_noise_only, responses
 
 
 def linear() -> Drawn:

@@ -169,9 +169,9 @@ def test_colcon_test_imports_every_module(package: str) -> None:
     assert (FOLDERS[package] / "test" / "test_imports.py").read_text() == first
 
 
-def test_wheel_holds_every_package_but_campaigns() -> None:
+def test_wheel_holds_every_package_but_those_of_the_clone(tables: ModuleType) -> None:
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["build"]["targets"]["wheel"]
-    wanted = {str((folder / name).relative_to(ROOT)) for name, folder in FOLDERS.items() if name != "nmt_blind"}
+    wanted = {str((FOLDERS[name] / name).relative_to(ROOT)) for name in tables.packages_of_the_wheel()}
     assert sorted(wheel["packages"]) == sorted(wanted)
     assert set(wheel["force-include"]) == {"ros2_ws/src/nmt_msgs/msg"}
 

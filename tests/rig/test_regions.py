@@ -21,7 +21,7 @@ from nmt_rig.rig_snapshot import rig_text
 
 pytest.importorskip("skfem", reason="scikit-fem, which builds the plates, is not installed")
 
-from independent import plates
+from nmt_laboratories import plates
 
 PLATE = replace(plates.drawn(5), off=1.0)
 COMPARED = 6

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from independent.body_cases import GRAVITY, Case, chain, make_case, tally, torque_of, urdf_of
+
+from nmt_laboratories.body_cases import GRAVITY, Case, chain, make_case, tally, torque_of, urdf_of
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 

@@ -6,12 +6,12 @@ import math
 
 import numpy as np
 import pytest
-from independent.forced_balance import OneElement, cubic, of_modes
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import CurveParameter, PointStatus
 from nmt_extract.curves.response_curve import ResponseCurve, response_curves
 from nmt_extract.offline import extract_bag
+from nmt_laboratories.forced_balance import OneElement, cubic, of_modes
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test

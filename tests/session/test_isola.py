@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from independent.forced_balance import OneElement, chain_of_one
 from scipy.optimize import minimize_scalar
 
 from nmt_core.errors import BenchError
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.curves.force_surface import ForceSurface
 from nmt_extract.curves.response_curve import response_curves
+from nmt_laboratories.forced_balance import OneElement, chain_of_one
 from nmt_session import Session, plan_test
 
 DAMPING = 2.5298221281347035

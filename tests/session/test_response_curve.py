@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from independent.epmc_by_receptance import coulomb_force
-from independent.forced_balance import cantilever, chain_of_one, cubic
 from independent.harmonic_continuation import CubicModes, PhaseBranch, Solution
 from scipy.optimize import minimize_scalar
 
@@ -18,6 +16,8 @@ from nmt_core.vocabulary import ControlKind, PointStatus, SteeringAct
 from nmt_extract.curves.response_curve import response_curves
 from nmt_extract.modal.table import write_results
 from nmt_extract.offline import extract_bag
+from nmt_laboratories.epmc_by_receptance import coulomb_force
+from nmt_laboratories.forced_balance import cantilever, chain_of_one, cubic
 from nmt_pll.thresholds import CURVE
 from nmt_rig.linear_description import linear_description
 from nmt_rig.rig import load_rig

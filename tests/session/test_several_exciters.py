@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from independent.epmc_by_receptance import nonlinear_modes
 from tiers import with_quick
 
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.offline import extract_bag
+from nmt_laboratories.epmc_by_receptance import nonlinear_modes
 from nmt_rig.model.linear_modes import sticking_modes
 from nmt_rig.rig_model import build_resting_elements, build_structure
 from nmt_session import Session, plan_test

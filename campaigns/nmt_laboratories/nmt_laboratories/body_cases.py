@@ -5,10 +5,10 @@ pseudo-inertias, whose accelerations are second differences of the frames over t
 
     τ_j = Σ_i tr(∂T_i/∂q_j J_i T̈_iᵀ) − gᵀ ∂T_i/∂q_j J_i e₄
 
-From the root of the repository in ``./nmt shell``, 72 clean cases and 48 with ripple, drift and friction that falls
+In ``./nmt shell``, 72 clean cases and 48 with ripple, drift and friction that falls
 with speed, which the product does not fit with the bodies::
 
-    PYTHONPATH=tests:$PYTHONPATH python -m independent.body_cases [--dirty] [--seeds N] [--kinds KIND …]
+    python -m nmt_laboratories.body_cases [--dirty] [--seeds N] [--kinds KIND …]
 """
 
 from __future__ import annotations
@@ -103,9 +103,9 @@ def chain(robot: str, rng: np.random.Generator) -> list[Body]:
 
 def torque_of(bodies: list[Body], q: Array, q_before: Array, q_after: Array, step: float, gravity: Array) -> Array:
     """Torque of each joint, rows × J, N·m; accelerations by frames a moment before and after each row."""
-    generators = [np.zeros((4, 4)) for body in bodies if body.axis is not None]
-    for generator, body in zip(generators, (b for b in bodies if b.axis is not None), strict=True):
-        a, b, c = body.axis
+    axes = [body.axis for body in bodies if body.axis is not None]
+    generators = [np.zeros((4, 4)) for _ in axes]
+    for generator, (a, b, c) in zip(generators, axes, strict=True):
         generator[:3, :3] = [[0, -c, b], [c, 0, -a], [-b, a, 0]]
     frames, before, after = (_frames(bodies, generators, values) for values in (q, q_before, q_after))
     found = np.zeros_like(q)

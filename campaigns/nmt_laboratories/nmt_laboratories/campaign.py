@@ -1,9 +1,9 @@
 """Makes cases of the laboratories two (four rigs), three (a free beam), four (robots) for ``./nmt blind laboratory``,
 and healthy tables of all whose stated uncertainties are off.
 
-Run from the root of the repository::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.campaign make --laboratory three --seeds 0:32 --out cases --jobs 2
+    python -m nmt_laboratories.campaign make --laboratory three --seeds 0:32 --out cases --jobs 2
     ./nmt blind laboratory cases --out answers
 
 A case that is there already is not made again. The same seed gives the same case. Every third seed of laboratory two
@@ -52,7 +52,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (default 1)")
     given = parser.parse_args()
     begin = time.monotonic()
-    make_case = import_module(f"independent.{LABORATORIES[given.laboratory]}").make_case
+    make_case = import_module(f"nmt_laboratories.{LABORATORIES[given.laboratory]}").make_case
     work = (delayed(make_case)(given.out.resolve(), seed) for seed in given.seeds)
     for number, name in enumerate(Parallel(n_jobs=given.jobs, return_as="generator_unordered")(work), 1):
         print(f"{number} of {len(given.seeds)}, {time.monotonic() - begin:.0f} s: {name}", flush=True)

@@ -1,8 +1,8 @@
-"""Measures response curves on several rigs and compares them with :mod:`independent.forced_balance`.
+"""Measures response curves on several rigs and compares them with :mod:`nmt_laboratories.forced_balance`.
 
-Run from the root of the repository::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.curve_campaign --out curves [CASE …]
+    python -m nmt_laboratories.curve_campaign --out curves [CASE …]
 
 A case that is measured already is compared anew and not measured again. Every point is compared with the balance at
 the measured lag and with the measured harmonics of the force; folds with those of the balance; the stability with the
@@ -21,12 +21,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from independent.epmc_by_receptance import coulomb_force
-from independent.forced_balance import OneElement, cantilever, chain_of_one, cubic, of_modes, stops
 
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.curves.response_curve import Place, ResponseCurve, response_curves
 from nmt_extract.modal.table import write_results
+from nmt_laboratories.epmc_by_receptance import coulomb_force
+from nmt_laboratories.forced_balance import OneElement, cantilever, chain_of_one, cubic, of_modes, stops
 from nmt_session import Session, plan_test
 
 _DAMPING = 2.5298221281347035

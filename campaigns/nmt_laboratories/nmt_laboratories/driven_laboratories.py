@@ -1,11 +1,11 @@
 """Rigs of laboratories and chains of masses behind a converter: their simulators answer to a drive, in real time.
 
 Nothing of the bench's simulation is in them. ``./nmt blind investigate`` takes what this writes: for each rig the model
-that its owner believes, the rig file with the driver, and the truth. Run from the root of the repository::
+that its owner believes, the rig file with the driver, and the truth. Run in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.driven_laboratories one --laboratory LABORATORY --count 5 --out RIGS
-    PYTHONPATH=tests python -m independent.driven_laboratories two --count 5 --out RIGS
-    PYTHONPATH=tests python -m independent.driven_laboratories masses --count 20 --out RIGS
+    python -m nmt_laboratories.driven_laboratories one --laboratory LABORATORY --count 5 --out RIGS
+    python -m nmt_laboratories.driven_laboratories two --count 5 --out RIGS
+    python -m nmt_laboratories.driven_laboratories masses --count 20 --out RIGS
 
 Laboratory one is a beam with a friction joint behind a shaker, two a pinned beam at a force, masses are four in a row
 on springs, with one effect, nothing, or an effect beside a wrong gain. The drive goes along a straight line from sample
@@ -23,9 +23,10 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent import laboratory_one, laboratory_two
-from independent.modal_simulator import Element, Simulator, _rates
 from numba import njit
+
+from nmt_laboratories import laboratory_one, laboratory_two
+from nmt_laboratories.modal_simulator import Element, Simulator, _rates
 
 _LATE = 0.05  # s by which a clock may be behind before it goes on from the present
 _RANGE = 10.0  # V at every port
@@ -271,8 +272,9 @@ def _elements(rig: _MassRig) -> tuple[Element, ...]:
 
 @njit(cache=True, error_model="numpy")
 def _driven(
-    y, at, force, substeps, h, omega2, damping, b, kinds, shapes, p, stiff, limit, out
-):  # fmt: skip  # pragma: no cover - compiled
+    y: Any, at: Any, force: Any, substeps: int, h: float, omega2: Any, damping: Any, b: Any, kinds: Any, shapes: Any,
+    p: Any, stiff: Any, limit: Any, out: Any,
+) -> None:  # fmt: skip
     """Runge and Kutta's fourth order under a force along straight lines between samples; sliders follow each step."""
     n, elements = omega2.size, kinds.size
     k, x, forces = np.zeros((4, y.size)), np.empty(y.size), np.empty(max(elements, 1))
@@ -334,7 +336,7 @@ def write_rig(folder: Path, model: dict[str, Any], driver: str, arguments: dict[
     noise = [_NOISE * 0.02 * most for most in largest[:-1]] + [0.0]
     device = {
         "kind": "custom",
-        "converter": f"independent.driven_laboratories:{driver}",
+        "converter": f"nmt_laboratories.driven_laboratories:{driver}",
         "folder": str(Path(__file__).resolve().parents[1]),
         "arguments": {**arguments, "sensitivities_v": sensitivities, "noise": noise},
         "outputs": [{"channel": "u", "port": 1, "range_v": _RANGE}],

@@ -86,7 +86,8 @@ def nonlinear_modes(
 
     def element(w: np.ndarray) -> np.ndarray:
         force = coulomb_force((w @ waves).real, tangential_stiffness, slip_force)
-        return 2.0 * (waves.conj() @ force) / samples
+        harmonics: np.ndarray = 2.0 * (waves.conj() @ force) / samples
+        return harmonics
 
     def unpack(unknowns: np.ndarray, w1: float) -> tuple[float, float, np.ndarray]:
         rest = unknowns[2::2] + 1j * unknowns[3::2]

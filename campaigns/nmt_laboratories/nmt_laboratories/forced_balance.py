@@ -13,10 +13,11 @@ Jacobian by differences. ``simulate`` integrates the same equations over time wi
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares, minimize_scalar
 
@@ -262,7 +263,7 @@ def chain_of_one(stiffness: float, damping: float, law: Law, **settings: int) ->
 
 
 def of_modes(
-    omega: Sequence[float], zeta: Sequence[float], local: Sequence[float], driven: Sequence[float], law: Law,
+    omega: ArrayLike, zeta: ArrayLike, local: ArrayLike, driven: ArrayLike, law: Law,
     **settings: int,
 ) -> OneElement:  # fmt: skip
     """Mass-normalised modes: ω in rad/s, shapes in 1/√kg."""

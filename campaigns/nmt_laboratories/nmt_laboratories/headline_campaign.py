@@ -1,10 +1,9 @@
 """Fifteen sealed cases with a law at held levels: what the answer begins with, and what its rig file leaves later.
 
-Run from the root of the repository in ``./nmt shell``::
+Run in ``./nmt shell``::
 
-    export PYTHONPATH=tests:$PYTHONPATH
-    python -m independent.headline_campaign make --seed 8000 --out cases --laboratory-one LABORATORY
-    python -m independent.headline_campaign read cases --out answers
+    python -m nmt_laboratories.headline_campaign make --seed 8000 --out cases --laboratory-one LABORATORY
+    python -m nmt_laboratories.headline_campaign read cases --out answers
 
 Phase resonance and stepped sines of a row of four masses, phase resonance of the free beam of laboratory three and of
 laboratory one, decays of one mass; the first five are those of a table of misses. Models are exact but for the beam.
@@ -35,10 +34,6 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent import laboratory_laws, laboratory_one
-from independent.driven_laboratories import _MASS_RATIOS, _row_of_masses
-from independent.law_campaign import digest_of
-from independent.modal_simulator import Element, Simulator, fundamental
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
@@ -46,6 +41,11 @@ from nmt_diagnose.diagnose import DiagnosisOutcome, diagnose_bags, observed
 from nmt_diagnose.fit.fitting import best_chain_errors, data_about
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.prediction.forward import Forward
+from nmt_laboratories import laboratory_laws, laboratory_one
+from nmt_laboratories.driven_laboratories import _MASS_RATIOS, _row_of_masses
+from nmt_laboratories.laboratory_two import frequency_of
+from nmt_laboratories.law_campaign import digest_of
+from nmt_laboratories.modal_simulator import Element, Simulator, fundamental
 from nmt_report.diagnosis_words import verdict_text
 from nmt_rig.rig import Rig, load_rig
 
@@ -173,7 +173,7 @@ def write_signals(
     columns = {"f": rows[:, -1]}
     points = range(1, len(structure.shapes) + 1)
     columns |= {f"a{p}": rows[:, 2 * modes : 3 * modes] @ structure.shapes[p - 1] for p in points}
-    noisy = {
+    noisy: dict[str, Any] = {
         name: signal + _NOISE * float(np.abs(signal).max()) * draw.standard_normal(signal.size)
         for name, signal in columns.items()
     }
@@ -209,7 +209,7 @@ def write_levels(
             rows, _ = simulator.tracked(level, hz, math.ceil(part * settle / hz * RATE), RATE)
             pieces.append(rows)
             begin += len(rows)
-            hz = laboratory_laws._frequency(rows[-min(len(rows), round(60 / hz * RATE)) :, modes], RATE)
+            hz = frequency_of(rows[-min(len(rows), round(60 / hz * RATE)) :, modes], RATE)
         rows, _ = simulator.tracked(level, hz, math.ceil(0.7 * settle / hz * RATE), RATE)
         window = begin + len(rows)
         pieces.append(rows)

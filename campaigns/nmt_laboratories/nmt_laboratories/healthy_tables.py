@@ -1,7 +1,7 @@
 """Healthy tables of three laboratories whose stated uncertainties are 0.3 to 3 times the scatter that is there.
 
-Made by ``python -m independent.campaign make --laboratory healthy``, diagnosed by ``./nmt blind laboratory``: what it
-calls an alarm is an effect, or something unknown, where there is none. One structure after the other:
+Made by ``python -m nmt_laboratories.campaign make --laboratory healthy``, diagnosed by ``./nmt blind laboratory``:
+what it calls an alarm is an effect, or something unknown, where there is none. One structure after the other:
 
 * clamped: a cantilever with a sticking and sliding joint, as laboratory one has it; its backbone by harmonic balance
   at the joint. In half of them the owner's joint slips at another force.
@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent import laboratory_three as three
-from independent import laboratory_two as two
-from independent.epmc_by_receptance import nonlinear_modes
 from scipy.linalg import eigh
+
+from nmt_laboratories import laboratory_three as three
+from nmt_laboratories import laboratory_two as two
+from nmt_laboratories.epmc_by_receptance import nonlinear_modes
 
 STRUCTURES = ("clamped", "beam", "free", "mast", "clamped", "strip", "free", "beam", "mast")
 _ELEMENTS, _TIP = 12, 12

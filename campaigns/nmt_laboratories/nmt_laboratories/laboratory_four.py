@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent.simulated_robot import SECONDS, STEP_S, Cause, Chain, Robot, command_of, logged, robot_text
+
+from nmt_laboratories.simulated_robot import SECONDS, STEP_S, Cause, Chain, Robot, command_of, logged, robot_text
 
 KINDS = ("healthy", "effect", "log", "effect", "log", "two", "effect", "log", "effect", "effect", "log", "unknown")
 EFFECTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -255,6 +256,7 @@ def _with_sizes_of_motion(
 
 
 def sidecar_of(names: tuple[str, ...], measured: bool) -> dict[str, Any]:
+    """The description of a robot's log, with measured torque or with command and gains."""
     sidecar: dict[str, Any] = {
         "robot_log": 1, "data": "log.npz", "joints": list(names), "time": {"column": "time"},
         "position": {"column": "q"}, "velocity": {"column": "dq"}, "command": {"position": "q_des"},

@@ -1,9 +1,9 @@
 """Cases for the reading of laws: the free beam of laboratory three with one or two local forces, and laboratory one.
 
 Twenty-six structure cases, twelve of them with a law that the library lacks, and sixteen that are healthy or have a
-fault of a sensor, an exciter or in time. The beam moves by the integrator of :mod:`independent.modal_simulator`, its
-force in phase with the velocity of its point. The truth of a case of the beam has displacement and force of each place,
-harmonic by harmonic, at every level.
+fault of a sensor, an exciter or in time. The beam moves by the integrator of :mod:`nmt_laboratories.modal_simulator`,
+its force in phase with the velocity of its point. The truth of a case of the beam has displacement and force of each
+place, harmonic by harmonic, at every level.
 """
 
 from __future__ import annotations
@@ -16,10 +16,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent import laboratory_one
-from independent.laboratory_three import DRIVEN, RATE, SENSORS, _through_chain, draw_case, owners_model
-from independent.laboratory_two import _frequency
-from independent.modal_simulator import Element, Simulator
+
+from nmt_laboratories import laboratory_one
+from nmt_laboratories.laboratory_three import DRIVEN, RATE, SENSORS, _through_chain, draw_case, owners_model
+from nmt_laboratories.laboratory_two import frequency_of
+from nmt_laboratories.modal_simulator import Element, Simulator
 
 LEVELS, _WINDOW, _ORDERS = 10, 50, 15
 _POINTS = (1, 2, 3, 7, 8, 9, 11, 13)
@@ -68,7 +69,9 @@ def local_force(name: str, case: dict[str, Any], point: int, draw: np.random.Gen
     rubbed = 0.04 * friction  # the lowest level moves it
     stuck = 2.0 * float(draw.uniform(0.004, 0.008)) * omega**2 / phi2
 
-    def one(kind: str, parameters: Sequence[float], sliders: Sequence[tuple[float, float]] = (), **strengths: float):
+    def one(
+        kind: str, parameters: Sequence[float], sliders: Sequence[tuple[float, float]] = (), **strengths: Any
+    ) -> list[Local]:
         plain = {key: float(value) for key, value in strengths.items()}
         return [Local(point, name, Element(kind, shapes, tuple(parameters), tuple(sliders)), plain)]
 
@@ -191,20 +194,20 @@ def make_beam_case(folder: Path, family: str, seed: int) -> None:
         for part in (1.0, 0.5, 0.5):
             rows, _ = simulator.tracked(float(level), hz, math.ceil(part * settle / hz * RATE), RATE)
             add(rows)
-            hz = _frequency(rows[-min(len(rows), round(60 / hz * RATE)) :, modes + 2], RATE)
+            hz = frequency_of(rows[-min(len(rows), round(60 / hz * RATE)) :, modes + 2], RATE)
         # The frequency of the band-pass stays as it is to the window's end.
         count = round(_WINDOW / hz * RATE)
         add(simulator.tracked(float(level), hz, math.ceil(0.7 * settle / hz * RATE), RATE)[0])
         from_here = begin
         rows, forces = simulator.tracked(float(level), hz, count, RATE)
         stop = add(rows)
-        truth_levels.append(_truth_of(rows, forces, laws, modes, _frequency(rows[:, modes + 2], RATE)))
+        truth_levels.append(_truth_of(rows, forces, laws, modes, frequency_of(rows[:, modes + 2], RATE)))
         segments.append({"kind": "phase_resonance", "level": float(f"{level:.6g}"), "level_unit": "N",
                          "start": round(start, 6), "stop": round(stop - 1.0 / RATE, 6),
                          "window": [round(from_here, 6), round(stop - 1.0 / RATE, 6)]})  # fmt: skip
     signals = np.concatenate(pieces)
     sizes = np.array([2e-4, *[3e-5 * float(np.abs(signals[:, 1:]).max())] * len(SENSORS)])
-    columns = {"f": _through_chain(case, signals[:, 0], 0, sizes)}
+    columns: dict[str, Any] = {"f": _through_chain(case, signals[:, 0], 0, sizes)}
     columns |= {f"a{p}": _through_chain(case, signals[:, k + 1], k + 1, sizes) for k, p in enumerate(SENSORS)}
     folder.mkdir(parents=True, exist_ok=True)
     np.savez(folder / "data.npz", **columns)

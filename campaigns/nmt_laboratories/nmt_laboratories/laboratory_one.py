@@ -2,9 +2,9 @@
 
 The laboratory (a beam with a friction joint behind a shaker; own simulator, loop and measuring chain) lies beside
 this repository where it is at hand. It makes its cases by code; this writes its twenty, and forty more with other
-seeds, points, strengths and tolerances, each with the truth that was put in. Run from the root of the repository::
+seeds, points, strengths and tolerances, each with the truth that was put in. Run in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.laboratory_one LABORATORY --out DIR --jobs 2
+    python -m nmt_laboratories.laboratory_one LABORATORY --out DIR --jobs 2
 
 A case that is there already is not made again.
 """
@@ -18,7 +18,7 @@ import io
 import math
 import shutil
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,6 +68,7 @@ def _effect(
     place: Sequence[str] = (),
     partly: Sequence[str] = (),
     verdicts: Sequence[str] = ("effect",),
+    sizes: Mapping[str, float] | None = None,
     **parameters: float,
 ) -> dict[str, Any]:
     sets = [names] if isinstance(names, str) else list(names)
@@ -77,7 +78,7 @@ def _effect(
         "effects": sets,
         "partly": list(partly),
         "place": list(place),
-        "parameters": parameters,
+        "parameters": {**(sizes or {}), **parameters},
     }
 
 
@@ -100,11 +101,11 @@ OWN_TRUTHS: dict[str, dict[str, Any]] = {
     "source_R": _effect("source_impedance", R=1.5),
     "two_cubic_gain": _effect(
         ["cubic_stiffness + force_gain", "cubic_stiffness + response_gain"], ["7"], ["cubic_stiffness"],
-        **{"cubic_stiffness.k": 1.1e6},
+        sizes={"cubic_stiffness.k": 1.1e6},
     ),
     "x_two_stop_gain": _effect(
         "one_sided_stop + response_gain", ["6"], ["one_sided_stop"],
-        **{"one_sided_stop.k": 150.0, "one_sided_stop.gap": 1.2e-3, "response_gain.g": -0.05},
+        sizes={"one_sided_stop.k": 150.0, "one_sided_stop.gap": 1.2e-3, "response_gain.g": -0.05},
     ),
     "skew": _effect(
         ["shared_delay", "channel_skew", "low_pass", "drive_hold"], verdicts=["effect", "calibration"], tau=1.5e-4
@@ -145,7 +146,7 @@ def _stop(kind: str, name: str, point: int, factor: float) -> tuple[dict[str, An
 def _damped(kind: int, name: str, key: str, point: int, value: float, power: int) -> tuple[dict[str, Any], Any]:
     c = value / _shape(point) ** power
     injected = {"drag": (c, point)} if kind == 2 else {"ext": [(kind, point, c, 0.0, 0.0)]}
-    return injected, _effect(name, [str(point)], **{key: c})
+    return injected, _effect(name, [str(point)], sizes={key: c})
 
 
 def _stribeck(point: int, force: float) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -168,8 +169,8 @@ def more_recipes(models: Path) -> dict[str, Recipe]:
     weak, wide = {"only": (2, 6)}, {"zoh": True}
     found: dict[str, Recipe] = {}
 
-    def add(name: str, own: tuple[dict[str, Any], dict[str, Any]], tolerance=(0.0, 0.0), chain=None, amplifier=None,
-            **options: Any) -> None:  # fmt: skip
+    def add(name: str, own: tuple[dict[str, Any], dict[str, Any]], tolerance: Any = (0.0, 0.0),
+            chain: Any = None, amplifier: Any = None, **options: Any) -> None:  # fmt: skip
         number = len(found) + 1
         chain = {"seed": 100 + number, **(chain or {})}
         recipe = Recipe(own[0], chain, options, own[1], tolerance, 1000 + number, amplifier)

@@ -82,7 +82,19 @@ def accelerance(beam: Beam, omega: float) -> np.ndarray:
 
 
 @njit(cache=True)
-def _rates(t, y, omega2, damping, load, table, rate, sine, kind, shape, p):  # pragma: no cover - compiled
+def _rates(
+    t: float,
+    y: Any,
+    omega2: Any,
+    damping: Any,
+    load: Any,
+    table: Any,
+    rate: float,
+    sine: Any,
+    kind: int,
+    shape: Any,
+    p: Any,
+) -> Any:
     """State derivative; the force is a sine (amplitude, ω, phase) or samples joined by straight lines."""
     n = omega2.size
     out = np.empty(2 * n)
@@ -355,11 +367,9 @@ def make_case(out: Path, seed: int) -> str:
             segments.append({"kind": "record", "start": round(start, 6), "stop": round(stop - 1.5 / RATE, 6)})
         test.state = np.zeros(2 * _MODES)
     else:
-        lines, at = (
-            np.fft.rfft(draw.standard_normal(round(24.0 * RATE))),
-            np.fft.rfftfreq(round(24.0 * RATE), 1.0 / RATE),
-        )
-        lines[(at < 12.0) | (at > 700.0)] = 0.0
+        lines = np.fft.rfft(draw.standard_normal(round(24.0 * RATE)))
+        hertz = np.fft.rfftfreq(round(24.0 * RATE), 1.0 / RATE)
+        lines[(hertz < 12.0) | (hertz > 700.0)] = 0.0
         force = 0.06 * top * np.fft.irfft(lines, round(24.0 * RATE))
         segments.append({"kind": "random", "start": 0.0, "stop": round(add(force, test.driven_by(force)), 6)})
     settle, window = round(6.0 / (2.0 * math.pi * beam.ratio(2))), 50
@@ -381,7 +391,7 @@ def make_case(out: Path, seed: int) -> str:
     sizes = np.array([2e-4, *[3e-4 * float(np.abs(rows).max()) / 10.0] * len(SENSORS)])
     if chain["taps"]:
         sizes[0] = 0.002
-    columns = {"f": _through_chain(case, force, 0, sizes)}
+    columns: dict[str, Any] = {"f": _through_chain(case, force, 0, sizes)}
     for k, point in enumerate(SENSORS):
         columns[f"a{point}"] = _through_chain(case, rows[:, k], k + 1, sizes)
     np.savez(folder / "data.npz", **columns)

@@ -1,8 +1,8 @@
 """A laboratory with four rigs: a beam at held forces, a mast on a shaking table, a tapped plate, a strip in print.
 
 It shares no code with the bench and was written without a look at the diagnosis: modes in closed form, each with a
-damping ratio of its own, integrated by :mod:`independent.modal_simulator`; own measuring chain, own tables. What it
-leaves behind are folders that ``./nmt blind laboratory`` takes: data, sidecars, the model that the rig's owner
+damping ratio of its own, integrated by :mod:`nmt_laboratories.modal_simulator`; own measuring chain, own tables. What
+it leaves behind are folders that ``./nmt blind laboratory`` takes: data, sidecars, the model that the rig's owner
 believes, and the truth.
 
 * beam: pinned at both ends, three modes; the owner's model has twelve finite elements and damping by mode. Stepped
@@ -27,10 +27,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent.modal_simulator import Element, Simulator, fundamental, iwan
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 from scipy.signal import bilinear, lfilter
+
+from nmt_laboratories.modal_simulator import Element, Simulator, fundamental, iwan
 
 RIGS = ("beam", "mast", "plate", "strip")
 _STRUCTURE = ["structure", "joint", "boundary"]
@@ -110,7 +111,8 @@ class Chain:
     def factor(self, point: int, frequency_hz: float) -> complex:
         """What a sensor makes of a line."""
         coupled = 1j * frequency_hz / (1j * frequency_hz + self.corners[point])
-        return self.gains[point] * coupled * np.exp(-2j * np.pi * frequency_hz * self.delays[point])
+        found: complex = self.gains[point] * coupled * np.exp(-2j * np.pi * frequency_hz * self.delays[point])
+        return found
 
 
 @dataclass(frozen=True)
@@ -193,10 +195,10 @@ def draw_specimen(rig: str, draw: np.random.Generator) -> Specimen:
     roots = bending_roots(not mast, count)
     wave, mass = _wave(size[2], modulus, density), density * math.prod(size)
     frequencies = np.array([(root / size[0]) ** 2 * wave for root in roots])
-    places = {p: p / _ELEMENTS for p in (3, 6, 9, 12)} if mast else {1: 0.5, 2: 0.25}
+    along = {p: p / _ELEMENTS for p in (3, 6, 9, 12)} if mast else {1: 0.5, 2: 0.25}
     shapes = {
         p: np.array([float(bending_shape(root, not mast, x)) for root in roots]) / math.sqrt(mass)
-        for p, x in places.items()
+        for p, x in along.items()
     }
     if not mast:
         return Specimen(rig, frequencies, ratios[:count], shapes, 1, (1,), 1.5e-3, size, modulus, density)
@@ -323,7 +325,7 @@ def inject(name: str, specimen: Specimen, draw: np.random.Generator) -> Injected
     contact = ("second_friction_contact", "microslip", "clamp_friction", "power_law_damping")
     excess = float(draw.uniform(1.0, 2.5))
     if name == "stribeck":
-        values = (friction, 0.005 * speed, excess, 0.35 * speed)
+        values: tuple[float, ...] = (friction, 0.005 * speed, excess, 0.35 * speed)
         return Injected(other(contact, "Stribeck friction"), element(name, *values), levels=held)
     if name == "lugre":
         stiffness = friction / (0.05 * a)
@@ -410,7 +412,8 @@ def stepped_sine(
         return linear_response(specimen, lines_hz) @ shapes, sizes, np.zeros(1)
     simulator = Simulator(specimen.frequencies_hz, specimen.ratios, specimen.load, elements)
     folds = 1.0 / (2.0 * math.pi * float(specimen.ratios[0]))  # periods in which a free decay falls by e
-    found, sizes, unsteady, modes = [], [], 0, specimen.frequencies_hz.size
+    unsteady, modes = 0, specimen.frequencies_hz.size
+    found, drives = [], []
     for line, frequency in enumerate(lines_hz):
         now = size * (1.0 + hold * draw.standard_normal())
         simulator.sine(now, frequency, math.ceil((6.0 if line == 0 else 3.0) * folds))
@@ -426,17 +429,18 @@ def stepped_sine(
         else:
             unsteady += 1
         found.append(motion / drive)
-        sizes.append(abs(drive))
-    return np.array(found), np.array(sizes), np.array([unsteady])
+        drives.append(abs(drive))
+    return np.array(found), np.array(drives), np.array([unsteady])
 
 
 def linear_response(specimen: Specimen, lines_hz: np.ndarray) -> np.ndarray:
     """Acceleration of the modes over the drive without local forces, complex, (lines, modes)."""
     omega, own = 2.0 * math.pi * lines_hz[:, None], 2.0 * math.pi * specimen.frequencies_hz
-    return -(omega**2) * specimen.load / (own**2 - omega**2 + 2j * specimen.ratios * own * omega)
+    found: np.ndarray = -(omega**2) * specimen.load / (own**2 - omega**2 + 2j * specimen.ratios * own * omega)
+    return found
 
 
-def backbone(specimen: Specimen, elements: Sequence[Element], sizes: Sequence[float]) -> np.ndarray:
+def backbone(specimen: Specimen, elements: Sequence[Element], sizes: Sequence[float] | np.ndarray) -> np.ndarray:
     """Phase resonance of the first mode at forces of these amplitudes, N.
 
     Returns:
@@ -456,7 +460,7 @@ def backbone(specimen: Specimen, elements: Sequence[Element], sizes: Sequence[fl
         for wait in (6.0, 3.0, 3.0):
             simulator.tracked(size, frequency, math.ceil(wait * folds * 40), rate)
             rows, _ = simulator.tracked(size, frequency, 40 * 60, rate)
-            frequency = _frequency(rows[:, :modes] @ shape, rate)
+            frequency = frequency_of(rows[:, :modes] @ shape, rate)
         count = math.floor(60 * frequency / rate * 40 - 1e-9)
         kept = round(count * rate / frequency)
         turn = np.exp(-2j * np.pi * frequency / rate * np.arange(kept))
@@ -467,7 +471,7 @@ def backbone(specimen: Specimen, elements: Sequence[Element], sizes: Sequence[fl
     return np.array(found)
 
 
-def _frequency(signal: np.ndarray, rate: float) -> float:
+def frequency_of(signal: np.ndarray, rate: float) -> float:
     """Of a steady signal, Hz: by its upward crossings of the mean, then by the turn of its phase between its halves."""
     about = signal - signal.mean()
     before = np.flatnonzero((about[:-1] < 0.0) & (about[1:] >= 0.0))
@@ -522,7 +526,7 @@ def model_of(
             "points_at": [{"point": p, "row": 2 * p - 2} for p in specimen.shapes],
         }  # fmt: skip
         content = {"name": name, "structure": structure, "exciter": {"kind": "shaking_table", "point": specimen.driven},
-                   "sensors": force + seen, "extraction": extraction}  # fmt: skip
+                   "sensors": [*force, *seen], "extraction": extraction}  # fmt: skip
         return content, {"structure.stiffness_factor": 1.0 / (1.0 + shift)} if shift else {}
     frequencies, shapes, participation = _measured_modes(specimen, injected)
     kept = {"mast": 1, "plate": 3, "strip": 2}[rig]
@@ -704,8 +708,8 @@ def write_print(folder: Path, specimen: Specimen, injected: Injected, chain: Cha
     size = float(f"{0.5 * min(lowest, 0.12) * top:.3g}")
     responses, _, _ = stepped_sine(specimen, injected.elements, size, lines, draw)
     seen = responses[:, 0] * [chain.factor(point, f) for f in lines] / chain.reference_gain
-    std = chain.noise * abs(seen)
-    seen = seen + std * (draw.standard_normal(lines.size) + 1j * draw.standard_normal(lines.size))
+    scatter = chain.noise * abs(seen)
+    seen = seen + scatter * (draw.standard_normal(lines.size) + 1j * draw.standard_normal(lines.size))
     print_table(folder / "frf.csv", ["frequency_hz", "real", "imag"], [lines, seen.real, seen.imag], chain.digits)
     stated = 100.0 * chain.overstated * chain.noise
     segments = [
@@ -725,7 +729,7 @@ def _write_taps(folder: Path, specimen: Specimen, injected: Injected, chain: Cha
     shape = specimen.shapes[specimen.driven]
     # A half sine of half a period moves a mode by 2.5 times what the same force does at rest, less than an impulse.
     size = specimen.largest * omega**2 / (shape[0] ** 2) * 0.65
-    before, scales = round(0.05 * rate), {}
+    before, scales = round(0.05 * rate), dict[int, float]()
     for number, share in enumerate((1.0, 0.35)):
         count = round(5.5 / (zeta * omega) * rate)
         simulator = Simulator(specimen.frequencies_hz, specimen.ratios, specimen.load, injected.elements)
@@ -733,7 +737,7 @@ def _write_taps(folder: Path, specimen: Specimen, injected: Injected, chain: Cha
         modes, time = specimen.frequencies_hz.size, np.arange(before + count) / rate
         fine = np.concatenate([np.zeros((4 * before, rows.shape[1])), rows])
         at = np.arange(fine.shape[0]) / (4.0 * rate)
-        columns, channels = [time], []
+        columns, channels = [time], list[dict[str, Any]]()
         for index, point in enumerate(specimen.sensors):
             velocity = index == 0
             begin = modes if velocity else 2 * modes
@@ -777,7 +781,8 @@ def _recorded(
     if point in chain.clip:
         seen = np.clip(seen, -chain.clip[point] * largest, chain.clip[point] * largest)
     step = 2.0 * 1.5 * largest / 2**16
-    return np.round(seen / step) * step
+    rounded: np.ndarray = np.round(seen / step) * step
+    return rounded
 
 
 def print_table(path: Path, head: Sequence[str], columns: Sequence[np.ndarray], digits: int) -> None:

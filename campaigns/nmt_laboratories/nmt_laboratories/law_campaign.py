@@ -1,10 +1,9 @@
-"""Makes sealed cases of :mod:`independent.laboratory_laws`, reads the law of each, and tabulates what was read.
+"""Makes sealed cases of :mod:`nmt_laboratories.laboratory_laws`, reads the law of each, and tabulates what was read.
 
-Run from the root of the repository in ``./nmt shell``::
+Run in ``./nmt shell``::
 
-    export PYTHONPATH=tests:$PYTHONPATH
-    python -m independent.law_campaign make --seed 800 --out cases --laboratory-one LABORATORY
-    python -m independent.law_campaign read cases --out answers
+    python -m nmt_laboratories.law_campaign make --seed 800 --out cases --laboratory-one LABORATORY
+    python -m nmt_laboratories.law_campaign read cases --out answers
 
 ``make`` writes ``seal.txt``, the SHA-256 of all truths; ``read`` refuses others. The reading alone is timed, without
 import and rows. A case that has an answer is not read again.
@@ -24,13 +23,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent import laboratory_laws
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
 from nmt_diagnose.diagnose import observed
 from nmt_diagnose.law.reading import LawReading, LocalLaw
 from nmt_diagnose.search.law_starts import law_of
+from nmt_laboratories import laboratory_laws
 from nmt_rig.rig import load_rig
 
 _CLEAR = 10.0  # standard deviations of a harmonic from which a law must be read

@@ -1,8 +1,8 @@
 """Sealed structures with a degree of freedom that their model lacks: is it named, with its place and frequency?
 
-Run from the root of the repository, in an environment with the bench::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests:$PYTHONPATH python -m independent.missing_mode_campaign --first 8200 --count 12 --out answers
+    python -m nmt_laboratories.missing_mode_campaign --first 8200 --count 12 --out answers
 
 Even seeds have a mass on a spring at a point, odd ones an elastic transmission. A structure whose answer is in the
 folder is not diagnosed again.
@@ -19,13 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from independent.seeds import seed_parser
-from independent.structures_with_more_modes import MoreModes, drawn, recorded
 from joblib import Parallel, delayed
 
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_laboratories.seeds import seed_parser
+from nmt_laboratories.structures_with_more_modes import MoreModes, drawn, recorded
 
 NAMED, HEDGED = "named", "hedged"
 HEDGED_WRONG, WRONG = "hedged wrong", "confidently wrong"

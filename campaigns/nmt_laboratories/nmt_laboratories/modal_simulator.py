@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -68,7 +69,10 @@ def iwan(stiffness: float, slip: float, number: int = 25) -> tuple[tuple[float, 
 
 
 @njit(cache=True, error_model="numpy")
-def _rates(y, s, omega2, damping, b, kinds, shapes, p, stiff, limit, at, out, forces):  # pragma: no cover - compiled
+def _rates(
+    y: Any, s: Any, omega2: Any, damping: Any, b: Any, kinds: Any, shapes: Any, p: Any, stiff: Any, limit: Any,
+    at: Any, out: Any, forces: Any,
+) -> None:  # fmt: skip
     """State derivative; ``forces`` gets gₑ."""
     n, elements = omega2.size, kinds.size
     for r in range(n):
@@ -132,7 +136,9 @@ def _rates(y, s, omega2, damping, b, kinds, shapes, p, stiff, limit, at, out, fo
 
 
 @njit(cache=True, error_model="numpy")
-def _drive(kind, y, n, t, size, growth, phase, omega, length):  # pragma: no cover - compiled
+def _drive(
+    kind: int, y: Any, n: int, t: float, size: float, growth: float, phase: float, omega: float, length: float
+) -> Any:
     """Value of the drive at a time t since the call."""
     if kind == 0:
         return (size + growth * t) * math.cos(phase + omega * t)
@@ -159,9 +165,10 @@ _WEIGHTS = np.array([35.0 / 384.0, 0.0, 500.0 / 1113.0, 125.0 / 192.0, -2187.0 /
 
 @njit(cache=True, error_model="numpy")
 def _advance(
-    y, at, steps, every, h, drive, size, growth, phase, omega, length, omega2, damping, b, kinds, shapes, p, stiff,
-    limit, out, forces_out
-):  # fmt: skip  # pragma: no cover - compiled
+    y: Any, at: Any, steps: int, every: int, h: float, drive: int, size: float, growth: float, phase: float,
+    omega: float, length: float, omega2: Any, damping: Any, b: Any, kinds: Any, shapes: Any, p: Any, stiff: Any,
+    limit: Any, out: Any, forces_out: Any,
+) -> None:  # fmt: skip
     """Integrate; every so many steps a row of q, q̇, q̈, s and of gₑ as they are at the step's beginning."""
     n, size_y, elements = omega2.size, y.size, kinds.size
     k, x, forces = np.zeros((6, size_y)), np.empty(size_y), np.empty(max(elements, 1))

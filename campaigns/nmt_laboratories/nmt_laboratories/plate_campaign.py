@@ -1,8 +1,8 @@
 """Sealed plates with an error of their model's form: is it named, with its region?
 
-Run from the root of the repository, in an environment with the bench::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests:$PYTHONPATH python -m independent.plate_campaign --first 8300 --count 40 --out answers
+    python -m nmt_laboratories.plate_campaign --first 8300 --count 40 --out answers
 
 Theory, boundary, local stiffness, local mass, damping and none take turns. A plate whose answer is in the folder is not
 diagnosed again.
@@ -19,14 +19,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from independent import plates
-from independent.plates import Plate, drawn, recorded
-from independent.seeds import seed_parser
 from joblib import Parallel, delayed
 
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_laboratories import plates
+from nmt_laboratories.plates import Plate, drawn, recorded
+from nmt_laboratories.seeds import seed_parser
 
 RIGHT, HEDGED, UNKNOWN = "right", "hedged right", "honest unknown"
 HEDGED_WRONG, WRONG = "hedged wrong", "confidently wrong"

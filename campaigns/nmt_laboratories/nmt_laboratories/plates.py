@@ -262,7 +262,8 @@ def accelerances(plate: Plate, modes: Modes, hz: np.ndarray) -> np.ndarray:
     gains = modes.shapes[plate.driven - 1][:, None] / (
         modes.omega[:, None] ** 2 - w**2 + 2j * zeta[:, None] * modes.omega[:, None] * w
     )
-    return -(w**2) * (modes.shapes @ gains + modes.residual[:, None])
+    found: np.ndarray = -(w**2) * (modes.shapes @ gains + modes.residual[:, None])
+    return found
 
 
 def drawn(seed: int, kind: str | None = None) -> Plate:

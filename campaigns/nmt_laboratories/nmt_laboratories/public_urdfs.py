@@ -3,8 +3,8 @@
 Twice, from the root of the repository::
 
     pip install example-robot-data pin
-    python tests/independent/public_urdfs.py make --out court [--urdfs FOLDER]
-    PYTHONPATH=tests:$PYTHONPATH python -m independent.public_urdfs run --out court [NAME …]
+    python campaigns/nmt_laboratories/nmt_laboratories/public_urdfs.py make --out court [--urdfs FOLDER]
+    python -m nmt_laboratories.public_urdfs run --out court [NAME …]
 
 ``make`` needs no bench. For each URDF with joints it writes a log of 20 s at 500 Hz: smooth motion of up to 12 joints,
 torque by pinocchio's recursive Newton-Euler algorithm with the friction and damping that the file states, mimic joints
@@ -18,6 +18,7 @@ import argparse
 import json
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -56,12 +57,11 @@ def sines(random: np.random.Generator, middle: float, amplitude: float) -> tuple
 
 def make_case(urdf: Path, folder: Path, random: np.random.Generator) -> dict[str, Any]:
     """Write the log of one robot; what is true of it."""
-    import pinocchio as pin
-
+    pin = import_module("pinocchio")
     model = pin.buildModelFromUrdf(str(urdf))
     root = ElementTree.parse(urdf).getroot()
     elements = {joint.get("name"): joint for joint in root.findall("joint")}
-    mimics = {name: joint.find("mimic") for name, joint in elements.items() if joint.find("mimic") is not None}
+    mimics = {name: mimic for name, joint in elements.items() if (mimic := joint.find("mimic")) is not None}
     numbers = {model.names[n]: n for n in range(1, model.njoints) if model.joints[n].nv == 1}
     names = [name for name in numbers if name not in mimics][:JOINTS]
     if not names:
@@ -145,7 +145,7 @@ def judged(folder: Path) -> dict[str, Any]:
     from nmt_robots.log.proposal import propose_sidecar
     from nmt_robots.verdict.robot_diagnosis import diagnose_robot
 
-    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    truth: dict[str, Any] = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     if "joints" not in truth:
         return truth
     begun = time.process_time()

@@ -1,8 +1,8 @@
 """Diagnoses of random structures that the bench did not simulate, as tables and decays of a laboratory.
 
-Run from the root of the repository, in an environment with the bench::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests:$PYTHONPATH python -m independent.random_structures --first 3000 --count 90
+    python -m nmt_laboratories.random_structures --first 3000 --count 90
 
 Each seed draws a structure of one mode or two at a point, with a nonlinear force or none, and a kind of data: a
 backbone with scatter, frequency responses at three forces stepped up and down, a decay with noise, responses on a
@@ -21,14 +21,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from independent.seeds import print_ends, seed_parser
-from independent.structure_at_a_point import Bench, Structure, backbone_table, iwan_joint
 from ruamel.yaml import YAML
 
 from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_laboratories.seeds import print_ends, seed_parser
+from nmt_laboratories.structure_at_a_point import Bench, Structure, backbone_table, iwan_joint
 
 HEALTHY = "healthy"
 EFFECTS = {
@@ -90,7 +90,9 @@ def drawn(kind: str, generator: np.random.Generator) -> Drawn:
             iwan_joint(stiffness, reach, exponent) if kind == "bolted" else ((stiffness, stiffness * reach / 5.0),)
         )
         leaves_noise_only = hz * np.sqrt(1.0 + share)
-    frequencies, ratios, shape = (hz,), (ratio,), (1.0,)
+    frequencies: tuple[float, ...] = (hz,)
+    ratios: tuple[float, ...] = (ratio,)
+    shape: tuple[float, ...] = (1.0,)
     if generator.random() < 0.4:
         frequencies += (hz * generator.uniform(3.0, 7.0),)
         ratios, shape = (ratio, ratio), (1.0, generator.uniform(-1.0, 1.0))

@@ -1,11 +1,11 @@
 """Laws of three real drives and dampers: read from some recordings, and the force that they predict of others.
 
-Run from the root of the repository in ``./nmt shell``::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.real_laws earthquakes FOLDER   # sines and earthquakes as JSON, see below
-    PYTHONPATH=tests python -m independent.real_laws drive FOLDER         # steady speeds, see below
-    PYTHONPATH=tests python -m independent.real_laws damper FOLDER        # test_*.csv at three currents
-    PYTHONPATH=tests python -m independent.real_laws currents FOLDER      # the same, one law for all
+    python -m nmt_laboratories.real_laws earthquakes FOLDER   # sines and earthquakes as JSON, see below
+    python -m nmt_laboratories.real_laws drive FOLDER         # steady speeds, see below
+    python -m nmt_laboratories.real_laws damper FOLDER        # test_*.csv at three currents
+    python -m nmt_laboratories.real_laws currents FOLDER      # the same, one law for all
 
 Each record is imported as its owner would, with a model of a mass of no weight; the law is read by the diagnosis, goes
 to the rig file, and the file predicts the force of records that the reading did not have. Figures are rms of what is
@@ -81,7 +81,7 @@ def model(folder: Path, rate: float, mass: float, quantity: str) -> Rig:
 
 def imported(folder: Path, record: Record, number: int) -> Path:
     """Bag of a record."""
-    columns = {"x": record.motion, "f": record.force}
+    columns: dict[str, Any] = {"x": record.motion, "f": record.force}
     followed = []
     if not math.isnan(record.current):
         # A channel without any noise would be a dead one.
@@ -188,7 +188,7 @@ def fitted(known: Sequence[Record], unknown: Sequence[Record], columns: Columns,
 
 def speed(record: Record) -> Array:
     """Velocity of a displacement, m/s."""
-    return np.gradient(record.motion) * record.rate
+    return np.asarray(np.gradient(record.motion) * record.rate)
 
 
 def table_of(path: Path) -> Array:
@@ -290,6 +290,7 @@ def damper(folder: Path) -> None:
 
 
 def main() -> None:
+    """Read the laws of one set of recordings, and print how well they predict."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=("earthquakes", "drive", "damper", "currents"))
     parser.add_argument("folder", type=Path)

@@ -1,14 +1,13 @@
 """Sealed records of an imposed or driven motion with a missing force: makes them, reads the law of each, and tabulates.
 
-Run from the root of the repository in ``./nmt shell``::
+Run in ``./nmt shell``::
 
-    export PYTHONPATH=tests:$PYTHONPATH
-    python -m independent.record_campaign make --seed 300 --count 40 --out cases
-    python -m independent.record_campaign read cases --out answers
+    python -m nmt_laboratories.record_campaign make --seed 300 --count 40 --out cases
+    python -m nmt_laboratories.record_campaign read cases --out answers
 
 ``make --only following`` makes cases of one group, ``--noise 0.1`` forces with so much white noise, rms over rms, and
 ``--late 0.012`` forces that come so many seconds after the motion; ``--driven`` rows of masses that a measured force
-drives, with the missing force at any place (:mod:`independent.driven_rows`).
+drives, with the missing force at any place (:mod:`nmt_laboratories.driven_rows`).
 
 The forces are formulas and recursions of this file alone, twenty steps to a sample. ``make`` writes ``seal.txt``, the
 SHA-256 of all truths; ``read`` refuses others. A case that has an answer is not read again.
@@ -27,14 +26,14 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent import driven_rows
-from independent.law_campaign import digest_of
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
 from nmt_diagnose.diagnose import observed
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.search.law_starts import law_of
+from nmt_laboratories import driven_rows
+from nmt_laboratories.law_campaign import digest_of
 from nmt_rig.rig import load_rig
 
 Array = np.ndarray
@@ -74,7 +73,8 @@ def bristles(x: Array, v: Array, reach: Array) -> Array:
 
 
 def dead(x: Array, gap: float) -> Array:
-    return np.sign(x) * np.maximum(np.abs(x) - gap, 0.0)
+    """Travel beyond a gap on both sides."""
+    return np.asarray(np.sign(x) * np.maximum(np.abs(x) - gap, 0.0))
 
 
 def yielding(x: Array, slip: float) -> Array:
@@ -318,6 +318,7 @@ def table(lines: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def main() -> None:
+    """Make cases, or read and tabulate them."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     actions = parser.add_subparsers(dest="action", required=True)
     maker = actions.add_parser("make")

@@ -1,8 +1,8 @@
 """Joints under three sets of gains: each log by itself is to name the same cause, of the same size within its ±.
 
-Run from the root of the repository in ``./nmt shell``::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.robot_gains --joints 0:20
+    python -m nmt_laboratories.robot_gains --joints 0:20
 
 Each joint is the geared one of laboratory four with one effect, whose drive has half, once and twice the gains. The
 torque is computed in joints of even number and measured in the others.
@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 import yaml
-from independent.campaign import seeds_of
-from independent.laboratory_four import ROBOTS, believed, changed_links, links_of, sidecar_of, sizes_of
-from independent.simulated_robot import SECONDS, STEP_S, Cause, Chain, Robot, command_of, logged, robot_text
 
+from nmt_laboratories.campaign import seeds_of
+from nmt_laboratories.laboratory_four import ROBOTS, believed, changed_links, links_of, sidecar_of, sizes_of
+from nmt_laboratories.simulated_robot import SECONDS, STEP_S, Cause, Chain, Robot, command_of, logged, robot_text
 from nmt_robots.verdict.joint_verdict import Term
 from nmt_robots.verdict.robot_diagnosis import diagnose_robot
 

@@ -2,9 +2,9 @@
 
 ``mujoco.sysid`` fits armature, damping and friction of each joint to positions and speeds of simulated windows, a fixed
 structure. Both see the log before its last part and are judged by the torque that they leave in that part, which
-neither has seen. Needs ``pip install 'mujoco[sysid]'``. Run from the root of the repository in ``./nmt shell``::
+neither has seen. Needs ``pip install 'mujoco[sysid]'``. Run in ``./nmt shell``::
 
-    PYTHONPATH=tests python -m independent.robot_sysid ROBOT.xml LOG
+    python -m nmt_laboratories.robot_sysid ROBOT.xml LOG
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ def by_sysid(robot: Path, log: JointLog, rows: int) -> dict[str, dict[str, float
     control = control.reshape(log.rows, -1)
     sensors = np.stack([log.position, speed], axis=2)[:, moves].reshape(log.rows, -1)
     starts, controls, measured = [], [], []
-    for first in firsts:
-        part = slice(first, first + length)
+    for begin in firsts:
+        part = slice(begin, begin + length)
         at = np.arange(length) * log.step_s
-        starts.append(sysid.create_initial_state(model, log.position[first, columns], speed[first, columns]))
+        starts.append(sysid.create_initial_state(model, log.position[begin, columns], speed[begin, columns]))
         controls.append(sysid.TimeSeries(at, control[part]))
         measured.append(sysid.TimeSeries.from_names(at, sensors[part], model))
     parameters = sysid.ParameterDict()

@@ -55,10 +55,10 @@ def iwan_joint(
     return tuple((float(stiffness * s), float(stiffness * s * m * largest)) for s, m in zip(share, mean, strict=True))
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def local_force(x: float, v: float, terms: Any, stiffness: Any, limits: Any, moved: Any) -> float:
     """Force on the point, N: springs, damping, a stop, and sliders that have moved so far."""
-    total = terms[0] * x**3 + terms[1] * x * x + terms[2] * x * x * v
+    total: float = terms[0] * x**3 + terms[1] * x * x + terms[2] * x * x * v
     if abs(x) > terms[4]:
         total += terms[3] * (abs(x) - terms[4]) * np.sign(x)
     for i in range(stiffness.size):
@@ -67,7 +67,7 @@ def local_force(x: float, v: float, terms: Any, stiffness: Any, limits: Any, mov
     return total
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def advance(state: Any, slope: Any, dt: float) -> None:
     """A step of Runge and Kutta's fourth order from its four slopes, (4, 2, modes)."""
     for k in range(2):
@@ -75,7 +75,7 @@ def advance(state: Any, slope: Any, dt: float) -> None:
             state[k, m] += dt / 6.0 * (slope[0, k, m] + 2.0 * slope[1, k, m] + 2.0 * slope[2, k, m] + slope[3, k, m])
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def slide(x: float, stiffness: Any, limits: Any, moved: Any) -> None:
     """Sliders go with the point where their springs reach the slip force."""
     for i in range(stiffness.size):
@@ -83,7 +83,7 @@ def slide(x: float, stiffness: Any, limits: Any, moved: Any) -> None:
         moved[i] = min(max(moved[i], x - reach), x + reach)
 
 
-@njit(cache=True)  # type: ignore[untyped-decorator]
+@njit(cache=True)
 def _play(
     state: Any, steps: int, dt: float, force: float, omega: float, angle: float, modes: Any, terms: Any,
     stiffness: Any, limits: Any, moved: Any, position: Any, speed: Any, applied: Any,

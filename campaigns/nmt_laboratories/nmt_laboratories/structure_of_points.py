@@ -3,9 +3,9 @@
 It shares no code with the bench. A force of held amplitude is stepped through two resonances at one point, and every
 point is measured. Where the nonlinear force acts is what a diagnosis has to find.
 
-Run from the root of the repository, in an environment with the bench::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests:$PYTHONPATH python -m independent.structure_of_points --first 1 --count 12
+    python -m nmt_laboratories.structure_of_points --first 1 --count 12
 
 Each seed draws a beam-like structure of three modes and four points, where it is driven, where its nonlinear force is
 and of what kind, and measures frequency responses at three forces about its first two modes with scatter. The model has
@@ -21,8 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from independent.seeds import print_ends, seed_parser
-from independent.structure_at_a_point import STEPS, advance, local_force, slide
 from numba import njit
 from ruamel.yaml import YAML
 
@@ -30,6 +28,8 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
+from nmt_laboratories.seeds import print_ends, seed_parser
+from nmt_laboratories.structure_at_a_point import STEPS, advance, local_force, slide
 
 POINTS, MODES, LINES = 4, 3, 40
 _MEASURED = 40  # periods
@@ -68,7 +68,7 @@ class Drawn:
     forces: np.ndarray
 
 
-@njit(cache=False)  # type: ignore[untyped-decorator]
+@njit(cache=False)
 def _play(
     state: Any, steps: int, dt: float, force: float, omega: float, modes: Any, shapes: Any, driven: int, local: int,
     terms: Any, stiffness: Any, limits: Any, moved: Any, kept: Any,

@@ -1,8 +1,8 @@
 """Sealed sets of five units that the bench did not simulate: is the odd one named, does the band hold the sixth?
 
-Run from the root of the repository, in an environment with the bench::
+Run in ``./nmt shell``::
 
-    PYTHONPATH=tests:$PYTHONPATH python -m independent.unit_campaign --first 8100 --count 40 --out answers
+    python -m nmt_laboratories.unit_campaign --first 8100 --count 40 --out answers
 
 Each seed draws one mode, how much its frequency, damping and nonlinear spring scatter between units, and six units of
 it, each measured on its own: responses of the linear mode by the closed form, or a backbone by Runge and Kutta's rule.
@@ -22,8 +22,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from independent.seeds import seed_parser
-from independent.structure_at_a_point import Structure, backbone_table
 from joblib import Parallel, delayed
 from ruamel.yaml import YAML
 
@@ -31,6 +29,8 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.units.unit_group import UnitDiagnosis, UnitGroup, unit_group
+from nmt_laboratories.seeds import seed_parser
+from nmt_laboratories.structure_at_a_point import Structure, backbone_table
 
 UNITS = 5
 RESPONSES, BACKBONE = "responses", "backbone"

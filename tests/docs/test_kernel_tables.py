@@ -26,10 +26,11 @@ MOST_LINES, MOST_ARGUMENTS = 80, 12
 
 
 def compiled_modules() -> list[Path]:
-    """Modules with compiled functions, and those that make tables for them."""
+    """Modules of the bench with compiled functions, and those that make tables for them."""
     texts = {
         path: path.read_text(encoding="utf-8")
         for path in (*ROOT.glob("ros2_ws/src/nmt_*/nmt_*/**/*.py"), *ROOT.glob("campaigns/nmt_*/nmt_*/**/*.py"))
+        if "nmt_laboratories" not in path.parts
     }
     return [path for path, text in texts.items() if "njit" in text or path.parent.name in ("prediction", "model")]
 

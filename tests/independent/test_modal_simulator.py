@@ -13,7 +13,7 @@ from scipy.linalg import eigh
 
 from nmt_blind.campaign.foreign_case import read_cases
 from nmt_laboratories import laboratory_two as lab
-from nmt_laboratories.campaign import seeds_of
+from nmt_laboratories.campaign_frame import seeds_of
 from nmt_laboratories.modal_simulator import KINDS, Element, Simulator, fundamental, iwan
 
 HZ, ZETA = 20.0, 0.005

@@ -13,7 +13,6 @@ with speed, which the product does not fit with the bodies::
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import time
 from collections import Counter
@@ -22,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from nmt_laboratories.campaign_frame import command_parser
 
 Array = Any
 GRAVITY = np.array([0.0, 0.0, -9.81])
@@ -334,7 +335,7 @@ def tally(seeds: int, dirty: bool, kinds: tuple[str, ...] = KINDS) -> tuple[Coun
 
 def main() -> None:
     """Diagnose the bodies of all cases and count."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser(__doc__)
     parser.add_argument("--dirty", action="store_true")
     parser.add_argument("--seeds", type=int, default=0)
     parser.add_argument("--kinds", nargs="*", default=KINDS)

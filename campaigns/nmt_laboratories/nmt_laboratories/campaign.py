@@ -12,12 +12,13 @@ is healthy (``--seeds 0:600:3``).
 
 from __future__ import annotations
 
-import argparse
 import time
 from importlib import import_module
 from pathlib import Path
 
 from joblib import Parallel, delayed
+
+from nmt_laboratories.campaign_frame import command_parser, seeds_of
 
 LABORATORIES = {
     "two": "laboratory_two",
@@ -27,24 +28,9 @@ LABORATORIES = {
 }
 
 
-def seeds_of(text: str) -> range:
-    """Seeds of "first:end" or "first:end:step", the end left out.
-
-    Raises:
-        argparse.ArgumentTypeError: it is no such range.
-    """
-    numbers = text.split(":")
-    if len(numbers) not in (2, 3) or not all(number.isdigit() for number in numbers):
-        raise argparse.ArgumentTypeError(f"seeds are FIRST:END or FIRST:END:STEP, such as 0:40; got {text}")
-    first, end, step = (*map(int, numbers), 1)[:3]
-    if step == 0 or first >= end:
-        raise argparse.ArgumentTypeError(f"seeds {text} are none: END is to be above FIRST, STEP at least 1")
-    return range(first, end, step)
-
-
 def main() -> None:
     """Make the cases that are not there yet, and say each."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser(__doc__)
     parser.add_argument("part", choices=("make",), help="what to do")
     parser.add_argument("--laboratory", choices=[*LABORATORIES], default="two", help="whose cases (default two)")
     parser.add_argument("--seeds", type=seeds_of, required=True, metavar="FIRST:END[:STEP]", help="the end is left out")

@@ -11,7 +11,6 @@ direction in which the balance's frequency goes.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import time
@@ -25,6 +24,7 @@ import numpy as np
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.curves.response_curve import Place, ResponseCurve, response_curves
 from nmt_extract.modal.table import write_results
+from nmt_laboratories.campaign_frame import command_parser
 from nmt_laboratories.epmc_by_receptance import coulomb_force
 from nmt_laboratories.forced_balance import OneElement, cantilever, chain_of_one, cubic, of_modes, stops
 from nmt_session import Session, plan_test
@@ -265,7 +265,7 @@ def _turn(lag: np.ndarray, frequency: np.ndarray, place: float) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Measures and prints one row for each curve."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser(__doc__)
     parser.add_argument("cases", nargs="*", help=f"of {', '.join(CASES)}")
     parser.add_argument("--out", type=Path, required=True)
     chosen = parser.parse_args(arguments)

@@ -21,9 +21,7 @@ A file is good where it leaves of the second recording no more than the model th
 
 from __future__ import annotations
 
-import argparse
 import csv
-import json
 import math
 import tempfile
 import time
@@ -36,15 +34,14 @@ import numpy as np
 import yaml
 
 from nmt_bench.data_import import import_data
-from nmt_core.errors import BenchError
 from nmt_diagnose.diagnose import DiagnosisOutcome, diagnose_bags, observed
 from nmt_diagnose.fit.fitting import best_chain_errors, data_about
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.prediction.forward import Forward
 from nmt_laboratories import laboratory_laws, laboratory_one
+from nmt_laboratories.campaign_frame import seal, sealed_answers, sealed_parser
 from nmt_laboratories.driven_laboratories import _MASS_RATIOS, _row_of_masses
 from nmt_laboratories.laboratory_two import frequency_of
-from nmt_laboratories.law_campaign import digest_of
 from nmt_laboratories.modal_simulator import Element, Simulator, fundamental
 from nmt_report.diagnosis_words import verdict_text
 from nmt_rig.rig import Rig, load_rig
@@ -429,39 +426,22 @@ def table(lines: Sequence[dict[str, Any]]) -> list[str]:
 
 def main() -> None:
     """Make or read."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    actions = parser.add_subparsers(dest="action", required=True)
-    maker, reader = actions.add_parser("make"), actions.add_parser("read")
+    parser, maker, _ = sealed_parser(__doc__)
     maker.add_argument("--seed", type=int, required=True)
     maker.add_argument("--laboratory-one", type=Path, help="folder of laboratory one, where it is at hand")
-    reader.add_argument("cases", type=Path)
-    reader.add_argument("--only", default="", help="parts of names, with commas between them (default: all)")
-    for action in (maker, reader):
-        action.add_argument("--out", type=Path, required=True)
-    asked = parser.parse_args()
-    asked.out.mkdir(parents=True, exist_ok=True)
-    if asked.action == "make":
-        laboratory = asked.laboratory_one and asked.laboratory_one.resolve()
+    options = parser.parse_args()
+    if options.part == "make":
+        options.out.mkdir(parents=True, exist_ok=True)
+        laboratory = options.laboratory_one and options.laboratory_one.resolve()
         for number, name in enumerate(CASES):
-            make(asked.out / f"{number + 1:02d}_{name}", name, asked.seed + number, laboratory)
+            make(options.out / f"{number + 1:02d}_{name}", name, options.seed + number, laboratory)
             print(name, flush=True)
-        (asked.out / "seal.txt").write_text(digest_of(asked.out) + "\n", encoding="utf-8")
+        seal(options.out)
         return
-    if (asked.cases / "seal.txt").read_text(encoding="utf-8").strip() != digest_of(asked.cases):
-        parser.error(f"the truths in {asked.cases} are not those that were sealed; make the cases anew")
     lines = []
-    for truth in sorted(asked.cases.glob("*/truth.yaml")):
-        folder, answer = truth.parent, asked.out / f"{truth.parent.name}.json"
-        if not any(part in folder.name for part in asked.only.split(",")):
-            continue
-        if not answer.is_file():
-            try:
-                answer.write_text(json.dumps(read_case(folder), default=float), encoding="utf-8")
-            except BenchError as error:
-                print(f"{folder.name}: {error}", flush=True)
-                continue
-        lines.append(json.loads(answer.read_text(encoding="utf-8")))
-        print(line_of(lines[-1]), flush=True)
+    for line in sealed_answers(options, read_case):
+        lines.append(line)
+        print(line_of(line), flush=True)
     if lines:
         print("\n".join(table(lines)))
 

@@ -11,9 +11,6 @@ import and rows. A case that has an answer is not read again.
 
 from __future__ import annotations
 
-import argparse
-import hashlib
-import json
 import math
 import tempfile
 import time
@@ -30,18 +27,11 @@ from nmt_diagnose.diagnose import observed
 from nmt_diagnose.law.reading import LawReading, LocalLaw
 from nmt_diagnose.search.law_starts import law_of
 from nmt_laboratories import laboratory_laws
+from nmt_laboratories.campaign_frame import seal, sealed_answers, sealed_parser
 from nmt_rig.rig import load_rig
 
 _CLEAR = 10.0  # standard deviations of a harmonic from which a law must be read
 _STRENGTH, _LOOP, _INSIDE, _ABOVE = 0.05, 0.10, 0.90, 0.80
-
-
-def digest_of(cases: Path) -> str:
-    """SHA-256 of all truths, in the order of their names."""
-    digest = hashlib.sha256()
-    for truth in sorted(cases.glob("*/truth.yaml")):
-        digest.update(truth.parent.name.encode() + truth.read_bytes())
-    return digest.hexdigest()
 
 
 def read_case(folder: Path) -> dict[str, Any]:
@@ -183,34 +173,21 @@ def _line(line: dict[str, Any]) -> str:
 
 def main() -> None:
     """Make or read."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parts = parser.add_subparsers(dest="part", required=True)
-    made, read = parts.add_parser("make"), parts.add_parser("read")
-    made.add_argument("--seed", type=int, default=800, help="of the first case")
-    made.add_argument("--laboratory-one", type=Path, help="folder of laboratory one, where it is at hand")
-    read.add_argument("cases", type=Path)
-    read.add_argument("--only", default="", help="parts of names, with commas between them (default: all)")
-    for part in (made, read):
-        part.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    if given.part == "make":
-        laboratory = given.laboratory_one and given.laboratory_one.resolve()
-        for name in laboratory_laws.names(laboratory, given.seed):
-            print(laboratory_laws.make_case(given.out, name, laboratory), flush=True)
-        (given.out / "seal.txt").write_text(digest_of(given.out) + "\n", encoding="utf-8")
+    parser, maker, _ = sealed_parser(__doc__)
+    maker.add_argument("--seed", type=int, default=800, help="of the first case")
+    maker.add_argument("--laboratory-one", type=Path, help="folder of laboratory one, where it is at hand")
+    options = parser.parse_args()
+    if options.part == "make":
+        options.out.mkdir(parents=True, exist_ok=True)
+        laboratory = options.laboratory_one and options.laboratory_one.resolve()
+        for name in laboratory_laws.names(laboratory, options.seed):
+            print(laboratory_laws.make_case(options.out, name, laboratory), flush=True)
+        seal(options.out)
         return
-    if (given.cases / "seal.txt").read_text(encoding="utf-8").strip() != digest_of(given.cases):
-        parser.error(f"the truths in {given.cases} are not those that were sealed; make the cases anew")
     lines = []
-    for truth in sorted(given.cases.glob("*/truth.yaml")):
-        folder, answer = truth.parent, given.out / f"{truth.parent.name}.json"
-        if not any(part in folder.name for part in given.only.split(",")):
-            continue
-        if not answer.is_file():
-            answer.write_text(json.dumps(read_case(folder)), encoding="utf-8")
-        lines.append(json.loads(answer.read_text(encoding="utf-8")))
-        print(_line(lines[-1]), flush=True)
+    for line in sealed_answers(options, read_case):
+        lines.append(line)
+        print(_line(line), flush=True)
     print("\n".join(table(lines)))
 
 

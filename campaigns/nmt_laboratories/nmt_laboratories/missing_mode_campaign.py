@@ -10,21 +10,17 @@ folder is not diagnosed again.
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
-import warnings
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_laboratories.seeds import seed_parser
+from nmt_laboratories.campaign_frame import answers_of_seeds, print_ends, seed_parser
 from nmt_laboratories.structures_with_more_modes import MoreModes, drawn, recorded
 
 NAMED, HEDGED = "named", "hedged"
@@ -48,12 +44,8 @@ def judged(structure: MoreModes, diagnosis: Diagnosis) -> str:
     return WRONG if sure else HEDGED_WRONG
 
 
-def answered(seed: int, out: Path) -> dict[str, Any]:
-    """The answer of a seed, from the folder where it is there."""
-    path = out / f"{seed}.json"
-    if path.exists():
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    warnings.simplefilter("ignore")
+def answered(seed: int) -> dict[str, Any]:
+    """The answer of a seed."""
     structure = drawn(seed)
     with tempfile.TemporaryDirectory() as name:
         rig, bag = recorded(structure, Path(name), np.random.default_rng([821, seed]))
@@ -61,7 +53,7 @@ def answered(seed: int, out: Path) -> dict[str, Any]:
         settings = DiagnosisSettings(jobs=1, look_ahead=False)
         diagnosis = diagnose_bags(rig, [bag], settings=settings).diagnosis
     first = diagnosis.ranking[0] if diagnosis.ranking else None
-    answer = {
+    return {
         "seed": seed, "kind": structure.kind, "point": structure.point, "mass": structure.mass,
         "frequency_hz": structure.frequency_hz, "end": judged(structure, diagnosis),
         "verdict": str(diagnosis.verdict.value), "adequate": diagnosis.adequate,
@@ -71,28 +63,22 @@ def answered(seed: int, out: Path) -> dict[str, Any]:
         "places": first.places if first else {}, "sentences": list(diagnosis.sentences[:3]),
         "cpu_s": time.process_time() - began,
     }  # fmt: skip
-    path.write_text(json.dumps(answer, indent=1, ensure_ascii=False), encoding="utf-8")
-    return answer
+
+
+def line_of(answer: dict[str, Any]) -> str:
+    """A structure in words."""
+    named = f"{answer['effect']}@{answer['detail']} f {answer['parameters'].get('f', float('nan')):.4g} Hz"
+    truth = f"{answer['kind']}@{answer['point']} f {answer['frequency_hz']:.4g} Hz m {answer['mass']:.3g} kg"
+    return (
+        f"{answer['seed']} {truth:48} {answer['end']:18} {named:40} p {answer['probability']:.2f} "
+        f"{answer['cpu_s']:.0f} s"
+    )
 
 
 def main() -> None:
     """Diagnose the structures that have no answer yet, print a line each, and how many ended how."""
-    parser = seed_parser(__doc__, 8200, 12)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets the answer of each structure")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    work = (delayed(answered)(seed, options.out) for seed in range(options.first, options.first + options.count))
-    ends: Counter[str] = Counter()
-    for answer in Parallel(n_jobs=options.jobs, return_as="generator")(work):
-        named = f"{answer['effect']}@{answer['detail']} f {answer['parameters'].get('f', float('nan')):.4g} Hz"
-        truth = f"{answer['kind']}@{answer['point']} f {answer['frequency_hz']:.4g} Hz m {answer['mass']:.3g} kg"
-        print(
-            f"{answer['seed']} {truth:48} {answer['end']:18} {named:40} p {answer['probability']:.2f} "
-            f"{answer['cpu_s']:.0f} s",
-            flush=True,
-        )
-        ends[answer["end"]] += 1
-    print(", ".join(f"{name} {count}" for name, count in sorted(ends.items())))
+    options = seed_parser(__doc__, 8200, 12, kept=True).parse_args()
+    print_ends((line_of(answer), answer["end"]) for answer in answers_of_seeds(options, answered))
 
 
 if __name__ == "__main__":

@@ -10,23 +10,19 @@ diagnosed again.
 
 from __future__ import annotations
 
-import json
 import tempfile
 import time
-import warnings
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_laboratories import plates
+from nmt_laboratories.campaign_frame import answers_of_seeds, print_ends, seed_parser
 from nmt_laboratories.plates import Plate, drawn, recorded
-from nmt_laboratories.seeds import seed_parser
 
 RIGHT, HEDGED, UNKNOWN = "right", "hedged right", "honest unknown"
 HEDGED_WRONG, WRONG = "hedged wrong", "confidently wrong"
@@ -74,12 +70,8 @@ def _wrong(diagnosis: Diagnosis) -> str:
     return WRONG if sure else HEDGED_WRONG
 
 
-def answered(seed: int, out: Path) -> dict[str, Any]:
-    """The answer of a seed, from the folder where it is there."""
-    path = out / f"{seed}.json"
-    if path.exists():
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    warnings.simplefilter("ignore")
+def answered(seed: int) -> dict[str, Any]:
+    """The answer of a seed."""
     plate = drawn(seed)
     with tempfile.TemporaryDirectory() as name:
         rig, bag = recorded(plate, Path(name), np.random.default_rng([823, seed]))
@@ -87,7 +79,7 @@ def answered(seed: int, out: Path) -> dict[str, Any]:
         settings = DiagnosisSettings(jobs=1, look_ahead=False)
         diagnosis = diagnose_bags(rig, [bag], settings=settings).diagnosis
     first = diagnosis.ranking[0] if diagnosis.ranking else None
-    answer = {
+    return {
         "seed": seed, "kind": plate.kind, "at": plate.at, "factor": plate.factor, "compliance": plate.compliance,
         "end": judged(plate, diagnosis), "verdict": str(diagnosis.verdict.value), "adequate": diagnosis.adequate,
         "effect": first.effect if first else "", "detail": first.detail if first else "",
@@ -98,28 +90,20 @@ def answered(seed: int, out: Path) -> dict[str, Any]:
         "ranking": [[item.effect, item.detail, item.probability] for item in diagnosis.ranking[:4]],
         "sentences": list(diagnosis.sentences[:4]), "cpu_s": time.process_time() - began,
     }  # fmt: skip
-    path.write_text(json.dumps(answer, indent=1, ensure_ascii=False), encoding="utf-8")
-    return answer
+
+
+def line_of(answer: dict[str, Any]) -> str:
+    """A plate in words."""
+    truth = f"{answer['kind']} {answer['at']} {answer['factor']:.3g} {answer['compliance']:.2g}"
+    words = f"{answer['verdict']} {answer['effect']}@{answer['detail']} {answer['probability']:.2f}"
+    values = ", ".join(f"{key} {value[0]:.4g} ± {value[1] or 0:.2g}" for key, value in answer["parameters"].items())
+    return f"{answer['seed']} {truth:32} {answer['end']:18} {words:44} {values:36} {answer['cpu_s']:.0f} s"
 
 
 def main() -> None:
     """Diagnose the plates that have no answer yet, print a line each, and how many ended how."""
-    parser = seed_parser(__doc__, 8300, 40)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets the answer of each plate")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    work = (delayed(answered)(seed, options.out) for seed in range(options.first, options.first + options.count))
-    ends: Counter[str] = Counter()
-    for answer in Parallel(n_jobs=options.jobs, return_as="generator")(work):
-        truth = f"{answer['kind']} {answer['at']} {answer['factor']:.3g} {answer['compliance']:.2g}"
-        answer_words = f"{answer['verdict']} {answer['effect']}@{answer['detail']} {answer['probability']:.2f}"
-        values = ", ".join(f"{key} {value[0]:.4g} ± {value[1] or 0:.2g}" for key, value in answer["parameters"].items())
-        print(
-            f"{answer['seed']} {truth:32} {answer['end']:18} {answer_words:44} {values:36} {answer['cpu_s']:.0f} s",
-            flush=True,
-        )
-        ends[answer["end"]] += 1
-    print(", ".join(f"{name} {count}" for name, count in sorted(ends.items())))
+    options = seed_parser(__doc__, 8300, 40, kept=True).parse_args()
+    print_ends((line_of(answer), answer["end"]) for answer in answers_of_seeds(options, answered))
 
 
 if __name__ == "__main__":

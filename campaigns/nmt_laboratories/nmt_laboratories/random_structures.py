@@ -27,7 +27,7 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_laboratories.seeds import print_ends, seed_parser
+from nmt_laboratories.campaign_frame import judged_in_parallel, print_ends, seed_parser
 from nmt_laboratories.structure_at_a_point import Bench, Structure, backbone_table, iwan_joint
 
 HEALTHY = "healthy"
@@ -264,7 +264,7 @@ def main() -> None:
     parser.add_argument("--data", choices=[*KINDS_OF_DATA, "magnitudes"], default="", help="one kind for all seeds")
     words = parser.parse_args()
     seeds = range(words.first, words.first + words.count)
-    print_ends([(seed, words.data) for seed in seeds], judged, words.jobs)
+    print_ends(judged_in_parallel([(seed, words.data) for seed in seeds], judged, words.jobs))
 
 
 if __name__ == "__main__":

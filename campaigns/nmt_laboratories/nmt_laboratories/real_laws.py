@@ -20,7 +20,6 @@ read.
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import tempfile
@@ -40,6 +39,7 @@ from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.moved_record import MovedRecord
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.search.law_starts import law_of
+from nmt_laboratories.campaign_frame import command_parser
 from nmt_rig.rig import Rig, load_rig
 
 Array = np.ndarray
@@ -292,7 +292,7 @@ def damper(folder: Path) -> None:
 
 def main() -> None:
     """Read the laws of one set of recordings, and print how well they predict."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser(__doc__)
     parser.add_argument("what", choices=("earthquakes", "drive", "damper", "currents"))
     parser.add_argument("folder", type=Path)
     arguments = parser.parse_args()

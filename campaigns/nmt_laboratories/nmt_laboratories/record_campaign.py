@@ -5,7 +5,7 @@ Run in ``./nmt shell``::
     python -m nmt_laboratories.record_campaign make --seed 300 --count 40 --out cases
     python -m nmt_laboratories.record_campaign read cases --out answers
 
-``make --only following`` makes cases of one group, ``--noise 0.1`` forces with so much white noise, rms over rms, and
+``make --group following`` makes cases of one group, ``--noise 0.1`` forces with so much white noise, rms over rms, and
 ``--late 0.012`` forces that come so many seconds after the motion; ``--driven`` rows of masses that a measured force
 drives, with the missing force at any place (:mod:`nmt_laboratories.driven_rows`).
 
@@ -15,7 +15,6 @@ SHA-256 of all truths; ``read`` refuses others. A case that has an answer is not
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import tempfile
@@ -33,7 +32,7 @@ from nmt_diagnose.diagnose import observed
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.search.law_starts import law_of
 from nmt_laboratories import driven_rows
-from nmt_laboratories.law_campaign import digest_of
+from nmt_laboratories.campaign_frame import seal, sealed_answers, sealed_parser
 from nmt_rig.rig import load_rig
 
 Array = np.ndarray
@@ -319,45 +318,31 @@ def table(lines: Sequence[dict[str, Any]]) -> list[str]:
 
 def main() -> None:
     """Make cases, or read and tabulate them."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    actions = parser.add_subparsers(dest="action", required=True)
-    maker = actions.add_parser("make")
+    parser, maker, _ = sealed_parser(__doc__)
     maker.add_argument("--seed", type=int, required=True)
     maker.add_argument("--count", type=int, default=40)
-    maker.add_argument("--only", choices=GROUPS)
+    maker.add_argument("--group", choices=GROUPS)
     maker.add_argument("--noise", type=float, default=0.003)
     maker.add_argument("--late", type=float, default=0.0)
     maker.add_argument("--driven", action="store_true")
-    maker.add_argument("--out", type=Path, required=True)
-    reader = actions.add_parser("read")
-    reader.add_argument("cases", type=Path)
-    reader.add_argument("--out", type=Path, required=True)
-    arguments = parser.parse_args()
-    if arguments.action == "make":
-        groups = [arguments.only] if arguments.only else OF_DRIVEN if arguments.driven else GROUPS
-        for number in range(arguments.count):
-            seed = arguments.seed + number
-            if arguments.driven:
-                driven_rows.make(arguments.out / f"{seed}", seed, groups[number % len(groups)], arguments.noise)
+    options = parser.parse_args()
+    if options.part == "make":
+        groups = [options.group] if options.group else OF_DRIVEN if options.driven else GROUPS
+        for number in range(options.count):
+            seed = options.seed + number
+            if options.driven:
+                driven_rows.make(options.out / f"{seed}", seed, groups[number % len(groups)], options.noise)
                 continue
-            make(arguments.out / f"{seed}", seed, groups[number % len(groups)], arguments.noise, arguments.late)
-        (arguments.out / "seal.txt").write_text(digest_of(arguments.out) + "\n", encoding="utf-8")
+            make(options.out / f"{seed}", seed, groups[number % len(groups)], options.noise, options.late)
+        seal(options.out)
         return
-    if (arguments.cases / "seal.txt").read_text(encoding="utf-8").strip() != digest_of(arguments.cases):
-        raise SystemExit("The truths are not those that were sealed.")
-    arguments.out.mkdir(parents=True, exist_ok=True)
     lines = []
-    for folder in sorted(path for path in arguments.cases.iterdir() if path.is_dir()):
-        answer = arguments.out / f"{folder.name}.json"
-        if not answer.exists():
-            answer.write_text(json.dumps(read_case(folder), default=float) + "\n", encoding="utf-8")
-            print(folder.name, flush=True)
-        lines.append(json.loads(answer.read_text(encoding="utf-8")))
-    for line in lines:
+    for line in sealed_answers(options, read_case):
         mark = "right" if is_right(line) else "stated" if line["stated"] else "-"
         names = f"{', '.join(line['true'])} | {mark}: {', '.join(line.get('read', ()))}"
         names += f" | {line.get('true_place', '')}: {', '.join(line.get('places') or ())}"
-        print(f"{line['case']} {line['group']}: {names} | {line.get('loop', math.nan):.3f}")
+        print(f"{line['case']} {line['group']}: {names} | {line.get('loop', math.nan):.3f}", flush=True)
+        lines.append(line)
     print("\n".join(table(lines)))
 
 

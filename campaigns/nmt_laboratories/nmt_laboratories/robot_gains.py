@@ -10,7 +10,6 @@ torque is computed in joints of even number and measured in the others.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from collections.abc import Sequence
 from itertools import combinations
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from nmt_laboratories.campaign import seeds_of
+from nmt_laboratories.campaign_frame import command_parser, seeds_of
 from nmt_laboratories.laboratory_four import ROBOTS, believed, changed_links, links_of, sidecar_of, sizes_of
 from nmt_laboratories.simulated_robot import SECONDS, STEP_S, Cause, Chain, Robot, command_of, logged, robot_text
 from nmt_robots.verdict.joint_verdict import Term
@@ -72,7 +71,7 @@ def compared(terms: Sequence[Term | None]) -> tuple[bool, list[float]]:
 
 def main() -> None:
     """Make, diagnose and compare the logs of each joint."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser(__doc__)
     parser.add_argument("--joints", type=seeds_of, required=True, metavar="FIRST:END", help="the end is left out")
     asked = parser.parse_args()
     same_cause, apart = 0, []

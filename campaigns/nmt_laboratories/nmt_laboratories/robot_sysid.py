@@ -9,7 +9,6 @@ neither has seen. Needs ``pip install 'mujoco[sysid]'``. Run in ``./nmt shell``:
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from nmt_laboratories.campaign_frame import command_parser
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.mechanics.ladder import JointProblem, first_of_last_part
 from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading
@@ -140,7 +140,7 @@ def left_of_last_part(diagnosis: RobotDiagnosis, number: int, drive: DriveSignal
 
 def main() -> None:
     """Diagnose a log, identify the same by sysid, and print what each leaves of every joint."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = command_parser(__doc__)
     parser.add_argument("robot", type=Path)
     parser.add_argument("log", type=Path)
     asked = parser.parse_args()

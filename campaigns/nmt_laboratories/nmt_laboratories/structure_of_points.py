@@ -28,7 +28,7 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_laboratories.seeds import print_ends, seed_parser
+from nmt_laboratories.campaign_frame import judged_in_parallel, print_ends, seed_parser
 from nmt_laboratories.structure_at_a_point import STEPS, advance, local_force, slide
 
 POINTS, MODES, LINES = 4, 3, 40
@@ -255,7 +255,8 @@ def judged(seed: int) -> tuple[str, str]:
 def main() -> None:
     """Print a line for each seed, and how many ended how."""
     words = seed_parser(__doc__, first=1, count=12).parse_args()
-    print_ends([(seed,) for seed in range(words.first, words.first + words.count)], judged, words.jobs)
+    seeds = range(words.first, words.first + words.count)
+    print_ends(judged_in_parallel([(seed,) for seed in seeds], judged, words.jobs))
 
 
 if __name__ == "__main__":

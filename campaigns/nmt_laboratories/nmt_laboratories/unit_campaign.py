@@ -13,23 +13,20 @@ its estimate. A set whose answer is in the folder is not diagnosed again.
 
 from __future__ import annotations
 
-import json
 import tempfile
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
 from ruamel.yaml import YAML
 
 from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.units.unit_group import UnitDiagnosis, UnitGroup, unit_group
-from nmt_laboratories.seeds import seed_parser
+from nmt_laboratories.campaign_frame import answers_of_seeds, seed_parser
 from nmt_laboratories.structure_at_a_point import Structure, backbone_table
 
 UNITS = 5
@@ -162,12 +159,8 @@ def named_odd(group: UnitGroup) -> set[str]:
     return odd
 
 
-def answered(seed: int, out: Path) -> dict[str, Any]:
-    """The answer of a seed, from the folder where it is there."""
-    path = out / f"{seed}.json"
-    if path.exists():
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    warnings.simplefilter("ignore")
+def answered(seed: int) -> dict[str, Any]:
+    """The answer of a seed."""
     drawn_set = drawn(seed)
     with tempfile.TemporaryDirectory() as name:
         diagnoses = diagnosed(drawn_set, Path(name), np.random.default_rng([811, seed]))
@@ -183,14 +176,12 @@ def answered(seed: int, out: Path) -> dict[str, Any]:
         for quantity in five.quantities
         if estimates.get(quantity.name)
     }
-    answer = {
+    return {
         "seed": seed, "data": drawn_set.data, "what": drawn_set.what,
         "odd": None if drawn_set.odd is None else f"unit {drawn_set.odd + 1}", "named": sorted(named_odd(five)),
         "held": held, "sentences": list(five.sentences),
         "estimates": {q.name: [(e.unit, e.value, e.std) for e in q.estimates] for q in next_one.quantities},
     }  # fmt: skip
-    path.write_text(json.dumps(answer, indent=1, ensure_ascii=False), encoding="utf-8")
-    return answer
 
 
 def summary(answers: Sequence[dict[str, Any]]) -> str:
@@ -205,21 +196,20 @@ def summary(answers: Sequence[dict[str, Any]]) -> str:
     )
 
 
+def line_of(answer: dict[str, Any]) -> str:
+    """A set in words."""
+    truth = f"{answer['odd']} odd in {answer['what']}" if answer["odd"] else "none odd"
+    held = list(answer["held"].values())
+    named = ", ".join(answer["named"]) or "none"
+    return f"{answer['seed']} {answer['data']:9} {truth:26} named {named:8} held {sum(held)}/{len(held)}"
+
+
 def main() -> None:
     """Diagnose the sets that have no answer yet, print a line each, and how many ended how."""
-    parser = seed_parser(__doc__, 8100, 40)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="gets the answer of each set")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    work = (delayed(answered)(seed, options.out) for seed in range(options.first, options.first + options.count))
+    options = seed_parser(__doc__, 8100, 40, kept=True).parse_args()
     answers = []
-    for answer in Parallel(n_jobs=options.jobs, return_as="generator")(work):
-        truth = f"{answer['odd']} odd in {answer['what']}" if answer["odd"] else "none odd"
-        held = list(answer["held"].values())
-        named = ", ".join(answer["named"]) or "none"
-        print(
-            f"{answer['seed']} {answer['data']:9} {truth:26} named {named:8} held {sum(held)}/{len(held)}", flush=True
-        )
+    for answer in answers_of_seeds(options, answered):
+        print(line_of(answer), flush=True)
         answers.append(answer)
     print(summary(answers))
 

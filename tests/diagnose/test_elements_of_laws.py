@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -84,7 +84,10 @@ def term_of(form: LawForm) -> tuple[Term, float]:
 @cache
 def case_of(number: int, folder: Path) -> Case:
     """The law of a form in a file, and the motion that a force makes."""
-    term, strength = term_of(FORMS[number])
+    return case_with(*term_of(FORMS[number]), folder)
+
+
+def case_with(term: Term, strength: float, folder: Path, driven: FloatArray = DRIVEN) -> Case:
     parameters = tuple(value for value in (term.first, term.second) if value)
     law = LocalLaw(1, 0, "", (LawTerm(term.kind, parameters, strength, 1.0, term.unit),), 1.0, (), ())
     element = element_of(law.terms[0], law)
@@ -95,7 +98,7 @@ def case_of(number: int, folder: Path) -> Case:
     rig = load_rig(file, vibrating=False)
     system = build_system(rig, build_structure(rig))
     integrator = TimeIntegrator(system, RATE, [displacement_output(system, 1)], substeps=8)
-    return Case(term, strength, rig, integrator.advance(np.append(DRIVEN, DRIVEN[-1]))[0])
+    return Case(term, strength, rig, integrator.advance(np.append(driven, driven[-1]))[0])
 
 
 @pytest.fixture(scope="module")
@@ -145,6 +148,19 @@ def forms(known: dict[str, str], first: Callable[[str], bool] = lambda name: Tru
 def test_a_record_of_imposed_motion_is_predicted_by_its_file(number: int, folder: Path, tmp_path: Path) -> None:
     """By another stepping than that of the simulator."""
     is_predicted(number, "response", folder, tmp_path)
+
+
+def test_a_stop_below_is_the_mirrored_one_in_file_plant_and_prediction(folder: Path, tmp_path: Path) -> None:
+    stop, strength = term_of(next(form for form in FORMS if form.kind == "stop"))
+    above = case_with(stop, strength, folder, -DRIVEN)
+    below = case_with(replace(stop, second=-1.0), strength, folder)
+    assert below.rig.local_elements[0].reversed
+    np.testing.assert_allclose(below.motion, -above.motion, rtol=0.0, atol=1e-12)
+    observations = read_observations([bag(below, tmp_path, "response")], below.rig)
+    value, without = observations.values, predicted(rig_of(tmp_path, TEXT), observations)
+    error = float(np.std(value - predicted(below.rig, observations)))
+    assert error < 0.02 * float(np.std(value))
+    assert error < 0.1 * float(np.std(value - without))
 
 
 @pytest.mark.parametrize("number", forms(NOT_DRIVEN))

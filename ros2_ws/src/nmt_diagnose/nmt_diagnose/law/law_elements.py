@@ -18,9 +18,11 @@ from nmt_rig.rig import Rig
 def element_of(term: LawTerm, law: LocalLaw) -> ElementSection | None:
     """The local element of a term; None where no kind of the rig file has its force."""
     found = term.of_unit_strength
-    if found.section is None or found.second < 0.0:
+    if found.section is None:
         return None
     keys: dict[str, Any] = {"point": law.point, **found.values(term.coefficient)}
+    if found.below:
+        keys["reversed"] = True
     if law.other_point:
         keys["other_point"] = law.other_point
     for other in law.terms:
@@ -59,4 +61,4 @@ def with_laws(rig: Rig, laws: Sequence[LocalLaw]) -> Rig:
 def not_written(laws: Sequence[LocalLaw]) -> tuple[str, ...]:
     """What of the laws no kind of element has, in words."""
     terms = [term for law in laws for term in law.at_middle if element_of(term, law) is None]
-    return tuple(dict.fromkeys(t.of_unit_strength.form.unwritten or "a stop on the negative side" for t in terms))
+    return tuple(dict.fromkeys(term.of_unit_strength.form.unwritten for term in terms))

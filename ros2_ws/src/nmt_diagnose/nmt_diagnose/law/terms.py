@@ -95,6 +95,11 @@ class Term:
         return self.form.signed or bool(self.by)
 
     @property
+    def below(self) -> bool:
+        """Whether it is a stop on the side of negative displacement."""
+        return self.kind == "stop" and self.second < 0.0
+
+    @property
     def remembers(self) -> bool:
         """Whether its force depends on the way to a motion, not on the motion alone."""
         if self.form.force is not None:
@@ -122,7 +127,7 @@ class Term:
         if self.form.force is not None:
             return np.asarray(self.form.force(x, v, self.first, self.second))
         # A stop of the other side is the same one along the other direction.
-        side = -1.0 if self.kind == "stop" and self.second < 0.0 else 1.0
+        side = -1.0 if self.below else 1.0
         return side * force_of(self._element, side * x, side * v, closed)
 
     @cached_property

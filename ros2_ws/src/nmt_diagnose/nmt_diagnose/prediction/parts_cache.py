@@ -19,6 +19,7 @@ from nmt_diagnose.prediction.rig_parts import (
     with_elements_of,
 )
 from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.rig import Rig, ShakingTableSection
 
 
@@ -83,7 +84,7 @@ class PartsCache:
         if found is None:
             near = self._near(key)
             parts = self._later(rig, setup, key) if near is None else self._shared(rig, setup, key, *near)
-            places = (key, *((e.point, e.other_point, e.rotation, e.side) for e in rig.local_elements))
+            places = (key, *(_place(e) for e in rig.local_elements))
             if parts is None and near is not None and self.base is not None:
                 wider = self.base._wider.get(places)
                 parts = None if wider is None else self._shared(rig, setup, key, *wider)
@@ -157,6 +158,11 @@ def _equal(a: object, b: object) -> bool:
     return a is b or a == b
 
 
+def _place(element: ElementSection) -> tuple[Any, ...]:
+    """Where an element acts, and along which direction."""
+    return element.point, element.other_point, element.rotation, element.reversed, element.side
+
+
 def _alike(rig: Rig, other: Rig, same_modes_at_rest: bool) -> bool:
     """Whether two rigs have the same local elements but for kinds and numbers of the nonlinear ones.
 
@@ -169,7 +175,7 @@ def _alike(rig: Rig, other: Rig, same_modes_at_rest: bool) -> bool:
         or (
             not {a.kind, b.kind} & {"linear_spring", "linear_damper"}
             and (not same_modes_at_rest or (a.soft_at_rest and b.soft_at_rest))
-            and (a.point, a.other_point, a.rotation, a.side) == (b.point, b.other_point, b.rotation, b.side)
+            and _place(a) == _place(b)
             and getattr(a, "remaining_stiffness_n_m", 0.0) == getattr(b, "remaining_stiffness_n_m", 0.0)
         )
         for a, b in zip(rig.local_elements, other.local_elements, strict=True)

@@ -400,7 +400,7 @@ def _local_elements(rig: Rig, structure: Structure, size: int, seconds: float, c
         # The lateral force that the sensor measures does not include a moment.
         measured = behind and not section.rotation
         groups = outside if measured else inside
-        key = f"{section.point} {section.other_point} {section.rotation} {measured}"
+        key = f"{section.point} {section.other_point} {section.rotation} {section.reversed} {measured}"
         direction = np.zeros(size)
         along = section.direction(structure)
         direction[: along.shape[0]] = along

@@ -154,6 +154,7 @@ class ElementSection(Section):
         side: `exciter`: at the drive point behind the force sensor, so that the measured force contains it; it is then
             no part of the structure
         rotation: acts on the rotation of a beam's cross-section: N m, rad and their products for N, m and theirs
+        reversed: acts along the negative displacement: a stop below the point instead of above
         valid_to_m: largest displacement (rad with `rotation`) at which its law was identified; left out = not limited
         modulated_by: channel that its strength follows: `current`, `voltage`, `force` or `displacement`, with the name
             of the sensor behind where a record has several, and `magnitude of` before it where its sign does not count,
@@ -168,6 +169,7 @@ class ElementSection(Section):
     other_point: Point | None = None
     side: Literal["structure", "exciter"] = "structure"
     rotation: bool = False
+    reversed: bool = False
     valid_to_m: Positive | None = None
     modulated_by: (
         Annotated[str, Field(pattern=rf"^({MAGNITUDE_OF})?(current|voltage|force|displacement)( .+)?$")] | None
@@ -202,7 +204,8 @@ class ElementSection(Section):
         Raises:
             KeyError: the structure has no such point, or its points do not rotate.
         """
-        return structure.direction(self.point, self.other_point, self.rotation)
+        along = structure.direction(self.point, self.other_point, self.rotation)
+        return -along if self.reversed else along
 
     @model_validator(mode="after")
     def _strength_is_not_negative(self) -> ElementSection:

@@ -7,9 +7,11 @@ of every message they fill.
 from __future__ import annotations
 
 import gc
+import importlib.util
 import os
 import shutil
 import signal
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,6 +79,32 @@ def domain_id() -> Iterator[int]:
     domain = BenchDomain()
     yield domain.id
     domain.close()
+
+
+def _leave_undrawn(patch: pytest.MonkeyPatch) -> None:
+    from markupsafe import Markup
+
+    from nmt_report import diagnosis_files, run_report, svg  # noqa: F401 - what they import is to be there
+
+    if importlib.util.find_spec("mujoco"):
+        importlib.import_module("nmt_robots.report.robot_files")
+    for name, module in list(sys.modules.items()):
+        if name.startswith(("nmt_report.", "nmt_robots.")) and module is not svg and hasattr(module, "svg_text"):
+            patch.setattr(module, "svg_text", lambda *_: Markup("<svg></svg>"))
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are built, and an empty drawing stands in their place: drawing takes most of a page's time."""
+    _leave_undrawn(monkeypatch)
+
+
+@pytest.fixture(scope="module")
+def module_undrawn() -> Iterator[None]:
+    """As `undrawn`, for fixtures of a module, too."""
+    with pytest.MonkeyPatch.context() as patch:
+        _leave_undrawn(patch)
+        yield
 
 
 @pytest.fixture(scope="session")

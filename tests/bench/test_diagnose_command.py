@@ -25,6 +25,8 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_rig.rig import find_rig, load_rig
 from nmt_session import Session, plan_test
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 GAIN = 0.05
 KEPT = ("response_gain", "cubic_stiffness", "phase_offset")
 FEW = [word for effect in library() if effect.name not in KEPT for word in ("--without", effect.name)]

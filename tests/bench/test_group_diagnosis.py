@@ -14,6 +14,8 @@ from diagnose.test_units import diagnosis
 from nmt_bench.cli import main
 from nmt_diagnose.effects.library import library
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 GAINS = {"bench 1": 0.05, "bench 2": 0.05, "bench 3": 0.05}
 FEW = [word for effect in library() if effect.name != "response_gain" for word in ("--without", effect.name)]
 

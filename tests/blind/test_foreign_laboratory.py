@@ -25,6 +25,8 @@ from nmt_blind.campaign.foreign_run import ForeignLine, print_lines, run_laborat
 from nmt_core.errors import BenchError
 from nmt_laboratories import laboratory_one, laboratory_two
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 LABORATORY_ONE = Path(__file__).resolve().parents[2].parent / "shared" / "laboratories" / "one"
 CUBIC = ForeignTruth("effect", ("effect",), (frozenset({"cubic_stiffness"}),), place=("7",), parameters={"k": 1e6})
 PAIR = ForeignTruth(

@@ -43,6 +43,8 @@ from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain, m
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_record.exchange.sidecar.calibration_file import read_calibration
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 RIG = short_rig()
 
 PROGRAM = """

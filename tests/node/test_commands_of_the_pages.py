@@ -134,6 +134,7 @@ def test_a_table_that_is_not_printed_is_seen() -> None:
             compare_tables([wrong], printed)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_mass_of_the_tutorial_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Section 11 whole, all nodes in one process: place, size, verdict and the written model."""
     monkeypatch.chdir(tmp_path)

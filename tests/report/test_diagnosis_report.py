@@ -12,14 +12,12 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from markupsafe import Markup
 from report import diagnosis_fixture as fixture
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Answer, Ranked, Remainder, RemainderPart, Share, Value, Verdict
 from nmt_diagnose.measurements.measurement import joined
 from nmt_diagnose.observations.observables import Part
-from nmt_report import diagnosis_figures, rig_drawing
 from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv, on_one_scale
 from nmt_report.diagnosis_report import diagnosis_page, probability_shares
 from nmt_report.diagnosis_tables import ranking_table
@@ -66,13 +64,6 @@ def text_of(page: str) -> str:
     """What a reader sees, without figures."""
     page = re.sub(r"<(style|script|svg)\b.*?</\1>", "", page, flags=re.S)
     return unescape(re.sub(r"<[^>]+>", " ", page))
-
-
-@pytest.fixture
-def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are built, and an empty drawing stands in their place: drawing takes most of a page's time."""
-    for module in (diagnosis_figures, rig_drawing):
-        monkeypatch.setattr(module, "svg_text", lambda *_: Markup("<svg></svg>"))
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))

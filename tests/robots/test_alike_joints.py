@@ -15,6 +15,8 @@ from nmt_bench.cli import main
 from nmt_core.errors import BenchError
 from nmt_robots.verdict.alike_joints import PlacedJoint, read_joint_table
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 ARMS = ("a", "b", "c", "d")
 BODY = f"""<body name="arm_NAME" pos="0 PLACE 0">
   <inertial pos="0 0 {-LENGTH}" mass="{MASS}" diaginertia="{INERTIA} {INERTIA} {INERTIA}"/>

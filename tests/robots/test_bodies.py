@@ -21,6 +21,8 @@ from nmt_robots.model.robot_model import BodyChange, RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
 from nmt_robots.verdict.robot_diagnosis import diagnose_robot
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 
 def finding_of(case: Case, path: Path) -> BodyFinding:
     """What the bodies of a case are found to be."""

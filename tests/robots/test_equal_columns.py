@@ -22,6 +22,8 @@ from nmt_robots.report.robot_files import write_robot_diagnosis
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot, read_log
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 SIDECAR = """robot_log: 1
 data: log.npz
 joints: [elbow]

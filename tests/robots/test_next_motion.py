@@ -19,6 +19,8 @@ from nmt_robots.verdict.joint_verdict import Term, unjudged
 from nmt_robots.verdict.next_motion import STEP_S, NextMotion, next_motion
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 
 @pytest.fixture
 def diagnosis() -> RobotDiagnosis:

@@ -19,6 +19,8 @@ from nmt_robots.log_faults.finding import Finding
 from nmt_robots.report.robot_files import write_robot_diagnosis
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot, no_claims_because
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
+
 
 def diagnosed(folder: Path, columns: dict[str, Any], **model: float) -> RobotDiagnosis:
     path = folder / "log.npz"

@@ -138,11 +138,8 @@ def with_bodies(model: RobotModel, log: JointLog, motion: Motion) -> Motion:
 
 def with_link_masses(model: RobotModel, log: JointLog, motion: Motion) -> Motion:
     """The motion with what the mass of each joint's link takes of all torques."""
-    parts = (
-        model.torque(log.joints, motion.q, motion.v, motion.a, heavier=name)
-        - model.torque(log.joints, motion.q, motion.v, motion.a)
-        for name in log.joints
-    )
+    plain = model.torque(log.joints, motion.q, motion.v, motion.a)
+    parts = (model.torque(log.joints, motion.q, motion.v, motion.a, heavier=name) - plain for name in log.joints)
     return replace(motion, of_links=tuple(motion.smooth(part) for part in parts))
 
 

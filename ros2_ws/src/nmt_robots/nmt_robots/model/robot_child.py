@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from nmt_core.errors import BenchError
 from nmt_core.files.hardened import open_regular
 from nmt_core.files.limited_child import limit
 
+os.environ["MUJOCO_GL"] = "disable"  # nothing is drawn; the window library takes a third of the import
 try:
     import mujoco
 except ImportError:  # optional; the parent looks for it before this runs

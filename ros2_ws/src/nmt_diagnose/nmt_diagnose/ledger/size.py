@@ -292,13 +292,15 @@ def beside_simpler(
     if left < 1.0 and own_chain is not None:
         of_less, alone = own_chain(less)
         left = largest_left(of_less, alone, wanted, loop)
-    if left >= 1.0:
-        change = data.forward.difference(more.fit.errors.values, alone.fit.errors.values)
-        return Facts(left_without=left, change=over(change_size(data, change), wanted))
     evidence = more.fit.log_evidence - max(less.fit.log_evidence, alone.fit.log_evidence)
-    if evidence >= THRESHOLDS.verdict.sure_log_evidence:
-        share = evidence / THRESHOLDS.verdict.sure_log_evidence
-        return Facts(left_without=share, change=over(measured_size(data, more, numbers), wanted))
+    share = evidence / THRESHOLDS.verdict.sure_log_evidence
+    if left >= 1.0 or share >= 1.0:
+        change = over(measured_size(data, more, numbers), wanted) if share >= 1.0 else 0.0
+        if left >= 1.0:
+            # Refitted parameters and errors of the chain may take the place of an effect that the evidence demands.
+            between = data.forward.difference(more.fit.errors.values, alone.fit.errors.values)
+            change = max(change, over(change_size(data, between), wanted))
+        return Facts(left_without=max(left, share), change=change)
     relieved = relief(data, more, less, wanted)
     if relieved.left_without < max(left, 1.0):
         return replace(relieved, left_without=max(left, relieved.left_without))

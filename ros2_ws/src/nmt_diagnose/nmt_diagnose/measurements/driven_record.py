@@ -350,6 +350,8 @@ def stepped_model(model: LinearModel, coordinates: int, rows: np.ndarray, step: 
 
 # Mirrored samples at either end of a resampled drive.
 _PADDING_SAMPLES = 512
+# Half width of filters between samples, of recorders too: nearer to an end they take in what was not recorded.
+_END_SAMPLES = 10
 
 _FOLLOWED = (Quantity.CURRENT, Quantity.VOLTAGE, Quantity.FORCE)
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
@@ -434,7 +436,9 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
     independent = max(
         THRESHOLDS.reading.record_fewest_rows, int((stretch.samples - start) / stretch.sample_rate * slowest)
     )
-    indices = spread_samples(start, stretch.samples, min(independent, max(1, budget // len(present))))
+    indices = spread_samples(
+        max(start, _END_SAMPLES), stretch.samples - _END_SAMPLES, min(independent, max(1, budget // len(present)))
+    )
     count = max(1, min(settings.record_segments, indices.size // 20))
     bounds = np.linspace(start, stretch.samples, count + 1).round().astype(np.int64)
     level = np.searchsorted(bounds, indices, side="right") - 1

@@ -295,11 +295,11 @@ def beside_simpler(
     evidence = more.fit.log_evidence - max(less.fit.log_evidence, alone.fit.log_evidence)
     share = evidence / THRESHOLDS.verdict.sure_log_evidence
     if left >= 1.0 or share >= 1.0:
-        change = over(measured_size(data, more, numbers), wanted) if share >= 1.0 else 0.0
-        if left >= 1.0:
-            # Refitted parameters and errors of the chain may take the place of an effect that the evidence demands.
-            between = data.forward.difference(more.fit.errors.values, alone.fit.errors.values)
-            change = max(change, over(change_size(data, between), wanted))
+        between = data.forward.difference(more.fit.errors.values, alone.fit.errors.values)
+        change = over(change_size(data, between), wanted) if left >= 1.0 else 0.0
+        # Refitted parameters and errors of the chain may take the place of an effect that the evidence demands.
+        if change < 1.0 <= share:
+            change = max(change, over(measured_size(data, more, numbers), wanted))
         return Facts(left_without=max(left, share), change=change)
     relieved = relief(data, more, less, wanted)
     if relieved.left_without < max(left, 1.0):

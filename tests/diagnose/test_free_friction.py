@@ -99,8 +99,8 @@ def finer(samples: FloatArray) -> FloatArray:
     return np.fft.irfft(np.fft.rfft(samples), FINER * samples.size) * FINER
 
 
-def diagnosed(folder: Path, rig: str, columns: dict[str, FloatArray], kind: str) -> tuple[Path, Diagnosis]:
-    """Bag of one segment and its diagnosis; columns are named by quantity and point, such as ``force 1``."""
+def recorded(folder: Path, rig: str, columns: dict[str, FloatArray], kind: str) -> Path:
+    """Bag of one segment; columns are named by quantity and point, such as ``force 1``."""
     units = {"force": "N", "torque": "N m", "displacement": "m", "angle": "rad"}
     (folder / "rig.yaml").write_text(rig, encoding="utf-8")
     np.savez(folder / "data.npz", **{name.replace(" ", "_"): values for name, values in columns.items()})
@@ -116,8 +116,13 @@ def diagnosed(folder: Path, rig: str, columns: dict[str, FloatArray], kind: str)
         encoding="utf-8",
     )
     name = rig.split("name: ")[1].split()[0]
-    bag = write_import(read_import(folder / "sidecar.yaml"), folder / "bag", name, rig, {})
-    return bag, diagnose_bags(folder / "rig.yaml", [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
+    return write_import(read_import(folder / "sidecar.yaml"), folder / "bag", name, rig, {})
+
+
+def diagnosed(folder: Path, rig: str, columns: dict[str, FloatArray], kind: str) -> Diagnosis:
+    """The diagnosis of a bag of one segment."""
+    bag = recorded(folder, rig, columns, kind)
+    return diagnose_bags(folder / "rig.yaml", [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
 
 
 def assert_friction(found: Diagnosis, slip: float, contact: float) -> None:
@@ -137,13 +142,13 @@ def decay(contact: float, slip: float, seed: int = 1) -> FloatArray:
 
 @pytest.mark.parametrize("contact", with_quick([800.0, RIGID], RIGID))
 def test_friction_ends_a_decay(tmp_path: Path, contact: float) -> None:
-    _, found = diagnosed(tmp_path, PENDULUM, {"angle 1": decay(contact, 0.15)}, "ring_down")
+    found = diagnosed(tmp_path, PENDULUM, {"angle 1": decay(contact, 0.15)}, "ring_down")
     assert_friction(found, 0.15, contact)
 
 
 def test_a_decay_is_read_from_its_beginning(tmp_path: Path) -> None:
     """What rings on at 800 N m/rad once the contact sticks is a thousandth of the motion."""
-    bag, _ = diagnosed(tmp_path, PENDULUM, {"angle 1": decay(800.0, 0.15)}, "ring_down")
+    bag = recorded(tmp_path, PENDULUM, {"angle 1": decay(800.0, 0.15)}, "ring_down")
     observations = read_observations([bag], load_rig(tmp_path / "rig.yaml"))
     (test,) = observations.tests
     assert isinstance(test, RecordedDecay)
@@ -153,7 +158,7 @@ def test_a_decay_is_read_from_its_beginning(tmp_path: Path) -> None:
 
 def test_coulomb_friction_has_the_damping_of_its_work(tmp_path: Path) -> None:
     """ζ + 2 F/(π k A): four times force and amplitude are the work of a period, whatever the size (Den Hartog 1931)."""
-    bag, _ = diagnosed(tmp_path, PENDULUM, {"angle 1": decay(RIGID, 0.04)}, "ring_down")
+    bag = recorded(tmp_path, PENDULUM, {"angle 1": decay(RIGID, 0.04)}, "ring_down")
     more = f"{{name: dry, kind: jenkins, point: 1, tangential_stiffness_n_m: {RIGID}, slip_force_n: 0.04}}"
     (tmp_path / "dry.yaml").write_text(f"{PENDULUM}local_elements:\n  - {more}\n", encoding="utf-8")
     observations = read_observations([bag], load_rig(tmp_path / "rig.yaml"))
@@ -174,7 +179,7 @@ def test_friction_in_a_record(tmp_path: Path, contact: float) -> None:
     torque = band(8000, 2.0, 9.0, 0.5, 3)
     angle = swung(finer(torque), 1.0 / (RATE * FINER), contact, 0.15, 0.0)[::FINER]
     angle = angle + 1e-5 * np.random.default_rng(4).standard_normal(angle.size)
-    _, found = diagnosed(tmp_path, PENDULUM, {"torque 1": torque, "angle 1": angle}, "record")
+    found = diagnosed(tmp_path, PENDULUM, {"torque 1": torque, "angle 1": angle}, "record")
     assert_friction(found, 0.15, contact)
 
 
@@ -184,7 +189,7 @@ def test_rigid_friction_at_an_inner_mass(tmp_path: Path) -> None:
     both = shaken_row(finer(force), 1.0 / (RATE * FINER), 1e6, 2.0)[:, ::FINER]
     both = both + 1e-6 * np.random.default_rng(6).standard_normal(both.shape)
     columns = {"force 1": force, "displacement 1": both[0], "displacement 2": both[1]}
-    _, found = diagnosed(tmp_path, ROW, columns, "record")
+    found = diagnosed(tmp_path, ROW, columns, "record")
     assert found.verdict is Verdict.EFFECT, found.sentences
     first = found.ranking[0]
     assert first.effect == "second_friction_contact", found.sentences

@@ -23,6 +23,20 @@ from nmt_core.messages.records import (
     SignalLevels,
     Steering,
 )
+from nmt_core.messages.wire import (
+    DRIVE_STOP,
+    LEVEL,
+    LOCK_EVENT,
+    MODAL_POINT,
+    MONITOR,
+    RUN_RECORD,
+    RUN_STATE,
+    STEERING,
+    read_drive,
+    read_status,
+    write_drive,
+    write_status,
+)
 from nmt_core.vocabulary import (
     ControlKind,
     LoopState,
@@ -165,3 +179,18 @@ def same(a: Any, b: Any) -> bool:
     if isinstance(a, list | tuple):
         return len(a) == len(b) and all(map(same, a, b))
     return bool(a == b or (a != a and b != b))
+
+
+CODECS = {
+    codec.name: codec
+    for codec in (DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, MONITOR, RUN_RECORD, RUN_STATE, STEERING)
+}
+WRITE = {name: codec.write for name, codec in CODECS.items()}
+WRITE.update(Drive=lambda drive: write_drive(drive, RATE), Frequency=lambda status: write_status(status, RATE))
+READ = {**{name: codec.read for name, codec in CODECS.items()}, "Drive": read_drive, "Frequency": read_status}
+RECORDS: dict[str, Any] = {
+    "Level": levels, "LockEvent": lock_events, "RunState": run_states, "Steering": steerings, "DriveStop": drive_stops,
+    "Monitor": monitors, "RunRecord": run_records, "ModalPoint": modal_points(), "Drive": drives,
+    "Frequency": statuses,
+}  # fmt: skip
+"""Random records by the name of their message; `WRITE` and `READ` have its codec."""

@@ -11,18 +11,11 @@ import numpy as np
 import pytest
 from core.message_records import (
     RATE,
+    READ,
+    RECORDS,
+    WRITE,
     blocks,
-    drive_stops,
-    drives,
-    levels,
-    lock_events,
-    modal_points,
-    monitors,
-    run_records,
-    run_states,
     same,
-    statuses,
-    steerings,
     texts,
     values_of,
 )
@@ -47,20 +40,15 @@ from nmt_core.messages.records import (
     Steering,
 )
 from nmt_core.messages.wire import (
-    DRIVE_STOP,
     LEVEL,
     LOCK_EVENT,
     MODAL_POINT,
-    MONITOR,
     RUN_RECORD,
     RUN_STATE,
-    STEERING,
     BlockReader,
     BlockWriter,
     read_drive,
-    read_status,
     write_drive,
-    write_status,
 )
 from nmt_core.vocabulary import (
     ControlKind,
@@ -75,13 +63,6 @@ from nmt_core.vocabulary import (
 from nmt_record.bag.message_definitions import local_definitions
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "nmt_msgs" / "msg"
-CODECS = {
-    codec.name: codec
-    for codec in (DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, MONITOR, RUN_RECORD, RUN_STATE, STEERING)
-}
-WRITE = {name: codec.write for name, codec in CODECS.items()}
-WRITE.update(Drive=lambda drive: write_drive(drive, RATE), Frequency=lambda status: write_status(status, RATE))
-READ = {**{name: codec.read for name, codec in CODECS.items()}, "Drive": read_drive, "Frequency": read_status}
 
 
 def fields_of(name: str) -> dict[str, str]:
@@ -139,21 +120,7 @@ def rosbags_bytes(name: str, values: dict[str, Any]) -> bytes:
     return bytes(store.typestore.serialize_cdr(types[kind](**plain), kind))
 
 
-@pytest.mark.parametrize(
-    ("name", "strategy"),
-    [
-        ("Level", levels),
-        ("LockEvent", lock_events),
-        ("RunState", run_states),
-        ("Steering", steerings),
-        ("DriveStop", drive_stops),
-        ("Monitor", monitors),
-        ("RunRecord", run_records),
-        ("ModalPoint", modal_points()),
-        ("Drive", drives),
-        ("Frequency", statuses),
-    ],
-)
+@pytest.mark.parametrize(("name", "strategy"), RECORDS.items())
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_bytes_of_random_records(name, strategy, data):

@@ -10,19 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 from core.message_records import (
-    RATE,
+    READ,
+    RECORDS,
+    WRITE,
     blocks,
-    drive_stops,
-    drives,
-    levels,
-    lock_events,
-    modal_points,
-    monitors,
-    run_records,
-    run_states,
     same,
-    statuses,
-    steerings,
     values_of,
 )
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -35,33 +27,16 @@ from nmt_core.messages.cdr import bench_stamp
 from nmt_core.messages.modal_point import COMPLEX
 from nmt_core.messages.records import LoopStatus
 from nmt_core.messages.wire import (
-    DRIVE_STOP,
-    LEVEL,
-    LOCK_EVENT,
-    MODAL_POINT,
-    MONITOR,
-    RUN_RECORD,
-    RUN_STATE,
-    STEERING,
     BlockReader,
     BlockWriter,
     NodeStatus,
     read_diagnostics,
-    read_drive,
     read_status,
     write_diagnostics,
-    write_drive,
     write_status,
 )
 from nmt_msgs import msg
 
-CODECS = {
-    codec.name: codec
-    for codec in (DRIVE_STOP, LEVEL, LOCK_EVENT, MODAL_POINT, MONITOR, RUN_RECORD, RUN_STATE, STEERING)
-}
-WRITE = {name: codec.write for name, codec in CODECS.items()}
-WRITE.update(Drive=lambda drive: write_drive(drive, RATE), Frequency=lambda status: write_status(status, RATE))
-READ = {**{name: codec.read for name, codec in CODECS.items()}, "Drive": read_drive, "Frequency": read_status}
 names = st.text(st.characters(min_codepoint=48, max_codepoint=122), min_size=1, max_size=9)
 
 
@@ -82,21 +57,7 @@ def rclpy_message(name: str, values: dict[str, Any]) -> Any:
     return message
 
 
-@pytest.mark.parametrize(
-    ("name", "strategy"),
-    [
-        ("Level", levels),
-        ("LockEvent", lock_events),
-        ("RunState", run_states),
-        ("Steering", steerings),
-        ("DriveStop", drive_stops),
-        ("Monitor", monitors),
-        ("RunRecord", run_records),
-        ("ModalPoint", modal_points()),
-        ("Drive", drives),
-        ("Frequency", statuses),
-    ],
-)
+@pytest.mark.parametrize(("name", "strategy"), RECORDS.items())
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_records_are_what_rclpy_serialises_and_reads_back(name: str, strategy: Any, data: st.DataObject) -> None:

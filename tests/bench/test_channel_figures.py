@@ -24,7 +24,7 @@ def test_every_row_stands_beside_its_limit(monkeypatch):
     monkeypatch.setattr(channel_figures, "in_a_process", lambda function, *arguments: function(*arguments))
     monkeypatch.setattr(channel_figures, "run_cost", lambda *_, **__: channel_figures.RunCost(9.0, 600.0, 0.3))
     figures = channel_figures.channel_figures(20.0)
-    found = {(figure.unit, figure.beside): figure.met for figure in figures}
+    found = {(figure.unit, figure.compared): figure.met for figure in figures}
     assert found == {
         ("× real time", 10.0): False,
         ("× real time", 8.0): True,

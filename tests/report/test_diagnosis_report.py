@@ -333,7 +333,7 @@ def test_a_remainder_and_warnings_stand_in_the_verdict_and_on_the_page() -> None
     page = text_of(diagnosis_page(replace(report, diagnosis=changed)))
     assert warning in page
     assert re.search(r"frequency\s+highest levels\s+80\s%\s+3\.10?\s+0\.420?\s%", page), page[
-        page.find("What is left") :
+        page.find("Residual") :
     ][:400]
     assert re.search(r"6 % \(3 to 10 %\) of the gap is left", page)
     assert changed.to_mapping()["remainder"]["where"][0]["levels"] == "highest levels"

@@ -1,1 +1,1 @@
-"""Benchmarks: speed of this machine beside limits and peers, and trials of a failing output."""
+"""Benchmarks: speed of this machine against limits and peers, and trials of a failing output."""

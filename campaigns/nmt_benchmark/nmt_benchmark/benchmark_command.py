@@ -1,4 +1,4 @@
-"""``./nmt benchmark``: speed of this machine beside limits and peers measured in the same run."""
+"""``./nmt benchmark``: speed of this machine against limits and peers measured in the same run."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 PARTS = ("plant", "reference", "bag", "levels", "diagnosis", "ramp", "command", "bench", "channels", "scheduler")
 
 
-SUMMARY = "speed of this machine beside limits and peers"
+SUMMARY = "speed of this machine against limits and peers"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class BenchmarkOptions:
     """Measures the plant's time integration, the harmonic-balance reference, the work per block of each node, reading
     and extracting bags, runs of very many levels, a diagnosis, ramped levels, whole commands, and the whole bench
     with its nodes in one process and in one process each, also with many channels, and what a Dask scheduler leaves
-    of its workers' time. Each figure is printed beside its limit, or beside a peer measured in the same run, and
+    of its workers' time. Each figure is printed against its limit, or a peer measured in the same run, and
     the limits that were missed are named at the end. Takes some minutes on two idle cores."""
 
     json: Path | None = option(None, "also write the figures to this JSON file", metavar="FILE")
@@ -82,7 +82,7 @@ def run(options: BenchmarkOptions) -> int:
 
 
 def figure_table(figures: Sequence[Figure]) -> Table:
-    """The figures beside their limits and peers."""
+    """The figures against their limits and peers."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
     from rich.text import Text
@@ -92,7 +92,7 @@ def figure_table(figures: Sequence[Figure]) -> Table:
     table = Table(box=SIMPLE_HEAD, header_style="bold")
     table.add_column("figure")
     table.add_column("measured", justify="right", no_wrap=True)
-    table.add_column("beside", justify="right", no_wrap=True)
+    table.add_column("limit or peer", justify="right", no_wrap=True)
     table.add_column("limit or peer")
     table.add_column("")
     for figure in figures:
@@ -100,6 +100,6 @@ def figure_table(figures: Sequence[Figure]) -> Table:
             table.add_row(figure.name, "—", "", Text(figure.note, style="yellow"), "")
             continue
         verdict = {True: Text("met", style="green"), False: Text("missed", style="red"), None: Text("")}[figure.met]
-        beside = "" if figure.beside is None else f"{significant(figure.beside, 3)} {figure.unit}"
-        table.add_row(figure.name, f"{significant(figure.value, 3)} {figure.unit}", beside, figure.note, verdict)
+        compared = "" if figure.compared is None else f"{significant(figure.compared, 3)} {figure.unit}"
+        table.add_row(figure.name, f"{significant(figure.value, 3)} {figure.unit}", compared, figure.note, verdict)
     return table

@@ -1,4 +1,4 @@
-"""The figures of ``./nmt benchmark``: what is measured, and the limit or peer beside it."""
+"""The figures of ``./nmt benchmark``: what is measured, and the limit or peer for comparison."""
 
 from __future__ import annotations
 
@@ -58,27 +58,27 @@ class Figure:
     Attributes:
         name: what was measured.
         value: in ``unit``; None = could not be measured, ``note`` says why.
-        unit: of ``value`` and ``beside``.
-        beside: the limit or what the peer reached; None = neither.
-        note: what ``beside`` is.
-        met: whether a limit is met; None where ``beside`` is not a limit.
+        unit: of ``value`` and ``compared``.
+        compared: the limit or what the peer reached; None = neither.
+        note: what ``compared`` is.
+        met: whether a limit is met; None where ``compared`` is not a limit.
     """
 
     name: str
     value: float | None
     unit: str
-    beside: float | None
+    compared: float | None
     note: str
     met: bool | None = None
 
     @classmethod
     def limited(cls, name: str, value: float, unit: str, limit: float, note: str = AT_LEAST) -> Figure:
-        """A figure beside its limit; ``note`` is `AT_LEAST` or `AT_MOST`."""
+        """A figure against its limit; ``note`` is `AT_LEAST` or `AT_MOST`."""
         return cls(name, value, unit, limit, note, value >= limit if note == AT_LEAST else value <= limit)
 
 
 def plant_figures(seconds: float) -> list[Figure]:
-    """Time integration of the beam beside its limit and scipy's solve_ivp; friction at many places; many channels."""
+    """Time integration of the beam against its limit and scipy's solve_ivp; friction at many places; many channels."""
     from nmt_benchmark.plant_speed import channel_speed, contact_speed, owned_output_cost, run_benchmark
     from nmt_rig.rig import load_rig
 
@@ -119,7 +119,7 @@ def plant_figures(seconds: float) -> list[Figure]:
 
 
 def reference_figures(_: float) -> list[Figure]:
-    """Harmonic balance of the beam: EPMC backbone and a forced response beside their limits."""
+    """Harmonic balance of the beam: EPMC backbone and a forced response against their limits."""
     from nmt_rig.model.forced_response import ForcedProblem, frequency_response
     from nmt_rig.model.fourier_basis import FourierBasis
     from nmt_rig.reference import compute_reference, default_amplitudes
@@ -157,7 +157,7 @@ def reference_figures(_: float) -> list[Figure]:
 
 
 def bag_figures(seconds: float) -> list[Figure]:
-    """Work per block without ROS; reading and extracting a bag beside a bare rosbags read."""
+    """Work per block without ROS; reading and extracting a bag against a bare rosbags read."""
     from rosbags.highlevel import AnyReader
 
     from nmt_extract.offline import extract_opened_bag
@@ -211,7 +211,7 @@ def _bag_size(rig: Any) -> float:
 
 
 def level_figures(_: float) -> list[Figure]:
-    """Very many levels: the report and its growth, and extraction beside a bare rosbags read."""
+    """Very many levels: the report and its growth, and extraction against a bare rosbags read."""
     from nmt_extract.offline import extract_opened_bag
     from nmt_record.bag.bag_reader import Bag
     from nmt_report.run_report import report_data_from_bag, report_html
@@ -267,7 +267,7 @@ def _over_bare_read(bag: Any) -> float:
 
 
 def ramp_figures(_: float) -> list[Figure]:
-    """Levels that the strategy ``ramp`` measures as well as is asked for at their own amplitude, beside all of them."""
+    """Levels that the strategy ``ramp`` measures as well as is asked for at their own amplitude, of all."""
     from nmt_rig.reference import single_point_reference
 
     test = plan_test(
@@ -289,7 +289,7 @@ def ramp_figures(_: float) -> list[Figure]:
 
 
 def diagnosis_figures(_: float) -> list[Figure]:
-    """A whole diagnosis beside its limit; its sensitivities beside new solutions for each parameter."""
+    """A whole diagnosis against its limit; its sensitivities against new solutions for each parameter."""
     from nmt_diagnose.diagnose import diagnose_bags
     from nmt_diagnose.diagnosis_settings import DiagnosisSettings
     from nmt_diagnose.effects.calibration import calibration_parameters

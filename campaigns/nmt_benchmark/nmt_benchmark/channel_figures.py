@@ -142,7 +142,7 @@ def bench_figures(seconds: float) -> list[Figure]:
         with Session(test, record=False, extract=False) as session:
             times.append(session.run().bench_time)
     more = 100.0 * (times[0] / times[1] - 1.0)
-    figures.append(Figure.limited("bench time, long blocks beside 20 ms", more, "% more", LIMIT_BENCH_TIME, AT_MOST))
+    figures.append(Figure.limited("bench time, long blocks against 20 ms", more, "% more", LIMIT_BENCH_TIME, AT_MOST))
     return figures
 
 
@@ -178,7 +178,7 @@ def _command(*options: str) -> tuple[float, float]:
 
 
 def channel_figures(seconds: float) -> list[Figure]:
-    """The whole bench with many channels beside its limits.
+    """The whole bench with many channels against its limits.
 
     Args:
         seconds: bench time of a run; a third of it for the largest.
@@ -210,7 +210,7 @@ def channel_figures(seconds: float) -> list[Figure]:
 def _measured(
     name: str, speed: float, measure: Callable[[], RunCost], cpu: float | None = None, megabytes: float | None = None
 ) -> list[Figure]:
-    """What a run took beside its limits, as far as it has any."""
+    """What a run took against its limits, as far as it has any."""
     try:
         cost = measure()
     except ImportError:

@@ -1,4 +1,4 @@
-"""Speed of the plant: the compiled time loop beside scipy's solve_ivp on the same problem."""
+"""Speed of the plant: the compiled time loop against scipy's solve_ivp on the same problem."""
 
 from __future__ import annotations
 

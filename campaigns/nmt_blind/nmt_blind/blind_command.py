@@ -29,7 +29,7 @@ SUMMARY = "blind check of the diagnosis: make sealed cases, diagnose, score"
 DESCRIPTION = (
     "Checks the diagnosis on simulated tests whose truth it cannot know. 'make' seals the truth and writes "
     "bags, 'run' diagnoses them, 'score' opens the seal and compares; 'laboratory' does all of it with cases "
-    "that others have made. 'rigs' draws rigs that are driven, 'investigate' investigates them beside a fixed plan. "
+    "that others have made. 'rigs' draws rigs that are driven, 'investigate' investigates them and a fixed plan. "
     "All parts go on where they stopped."
 )
 

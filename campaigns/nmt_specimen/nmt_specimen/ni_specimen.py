@@ -262,7 +262,7 @@ class NiCalls:
         self._refuse(context, 0 if source in known or re.fullmatch(r"/\w+/PFI\d+", source) else _NO_TERMINAL, "read")
 
     def _refuse(self, context: Any, code: int, what: str) -> None:
-        """End a call as NI's server does: a gRPC error with NI's code beside it."""
+        """End a call as NI's server does: a gRPC error with NI's code."""
         if code:
             context.set_trailing_metadata((("ni-error", str(code)), (f"ni-samps-per-chan-{what}", "0")))
             context.abort(self.grpc.StatusCode.UNKNOWN, _WORDS[code])

@@ -1,4 +1,4 @@
-"""Nonlinear system identification beside the diagnosis' model: each predicts the backbone and a sweep it has not seen.
+"""Nonlinear system identification compared with the diagnosis: each predicts the backbone and a sweep it has not seen.
 
 Both get the same recordings of random excitation. The subspace method knows the place of the nonlinear force, no more;
 the diagnosis has a rig file that is wrong, and knows no place.
@@ -78,7 +78,7 @@ def _overrides(elements: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
 
 
 def evaluate(case: StudyCase, bag: Path) -> dict[str, Any]:
-    """What both methods predict, beside the EPMC backbone and a further recording."""
+    """What both methods predict, with the EPMC backbone and a further recording."""
     from nmt_study.identification_analysis import predictions
 
     _, _, model, point = _STRUCTURES[str(case.labels["structure"])]
@@ -155,7 +155,7 @@ def _backbones(results: Sequence[Result]) -> ReportFigure:
             axes.set_ylabel(label)
             axes.set_title(str(result["case"]["labels"]["structure"]))
             axes.set_xlabel(r"$q$ / m$\sqrt{\mathrm{kg}}$")
-    caption = "Backbones that both predict from random excitation, beside EPMC of the tested rig."
+    caption = "Backbones that both predict from random excitation, with EPMC of the tested rig."
     return report_figure(figure, "identification", "Backbones", caption, True, legend=2)
 
 

@@ -1,4 +1,4 @@
-"""Phase resonance beside other methods on the joint resonator: ring-down, sweeps, stepped sines."""
+"""Phase resonance compared with other methods on the joint resonator: ring-down, sweeps, stepped sines."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ Result = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Finding:
-    """A statement of the paper (or of ours) beside what was found.
+    """A statement of the paper (or of ours) and what was found.
 
     Attributes:
         claim: the statement.
@@ -46,7 +46,7 @@ class StudyTable:
 
 @dataclass(frozen=True)
 class StudyOutput:
-    """What a study shows besides its table.
+    """What a study shows in addition to its table.
 
     Attributes:
         figures: in the paper's order.

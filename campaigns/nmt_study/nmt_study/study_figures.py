@@ -1,4 +1,4 @@
-"""Figures of studies: properties over modal amplitude for several cases, beside their references."""
+"""Figures of studies: properties over modal amplitude for several cases, with their references."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def linear_frequency(result: Result) -> float:
 def backbone_figures(
     prefix: str, results: Sequence[Result], what: str, epmc_of_each: bool = False
 ) -> list[ReportFigure]:
-    """ω̃* and δ̃ over q for several cases beside EPMC.
+    """ω̃* and δ̃ over q for several cases, with EPMC.
 
     Args:
         prefix: anchor of the figures.

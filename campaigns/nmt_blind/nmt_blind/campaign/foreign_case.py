@@ -180,7 +180,7 @@ def contradictions(diagnosis: Mapping[str, Any]) -> tuple[str, ...]:
         if verdict == "effect" and bool(head.get("given_library", False)) == adequate:
             found.append("the probability of the table is of other alternatives than that of the sentences")
         if verdict == "effect" and adequate and sure < unnamed:
-            found.append(f"a cause at {sure:.2f} beside something unnamed at {unnamed:.2f}")
+            found.append(f"a cause at {sure:.2f} with something unnamed at {unnamed:.2f}")
         name = effect_words(str(head["effect"]))
         if (named or partial) and name not in text:
             found.append(f"the sentences name something else than the first explanation, {name}")
@@ -343,7 +343,7 @@ def _furthest(
 def _case(folder: Path) -> ForeignCase:
     sidecars = tuple(sorted(folder.glob("sidecar*.yaml")))
     if not (folder / MODEL_FILE).is_file() or not sidecars:
-        raise BenchError(f"The case {folder} lacks {MODEL_FILE} or sidecar.yaml; write them beside its {TRUTH_FILE}.")
+        raise BenchError(f"The case {folder} lacks {MODEL_FILE} or sidecar.yaml; write them next to its {TRUTH_FILE}.")
     return ForeignCase(folder, folder / MODEL_FILE, sidecars, read_truth(folder / TRUTH_FILE))
 
 

@@ -36,7 +36,7 @@ def check_frozen(folder: Path, results: Path, sealed: bool, anew: bool) -> None:
 
     Args:
         folder: the campaign's folder, for the message.
-        results: where the note is kept, beside the results.
+        results: where the note is kept, next to the results.
         sealed: the campaign is sealed.
         anew: all cases are diagnosed from the beginning.
 

@@ -1,4 +1,4 @@
-"""Investigations of sealed rigs beside a fixed plan: bench time to the answer, what it is worth, and what was learnt.
+"""Investigations of sealed rigs compared with a fixed plan: bench time to the answer, its worth, and what was learnt.
 
 The fixed plan is what the bench's defaults make of "measure everything, then diagnose": the linear test, ten levels,
 a random record at a low and one at a high level, and the ordinary diagnosis of all of it.
@@ -314,7 +314,7 @@ def pair_of(pair: Sequence[str], record: Mapping[str, Any]) -> str:
     true, other = pair
     for number, turn in enumerate(record["turns"]):
         p = [float(turn["answers"].get(name, 0.0)) for name in (true, other)]
-        # A third effect that is the same to these tests stands beside the true one.
+        # A third effect that is the same to these tests stands next to the true one.
         named = p[0] > 0.5 or true.replace("_", " ") in turn["sentence"]
         if named and p[1] < _PARTED * p[0] and other.replace("_", " ") not in turn["sentence"]:
             made = [test for test in record["tests"] if test["state"] == "measured"][: turn["tests"]]

@@ -1,4 +1,4 @@
-"""What plain least squares says of a robot's log, beside which the diagnosis is held.
+"""What plain least squares says of a robot's log, for comparison with the diagnosis.
 
 For each joint Coulomb and viscous friction, armature and an offset are fitted to all rows of the torque that inverse
 dynamics leaves over, with differences of the logged positions. A value is claimed beyond three standard uncertainties

@@ -1,4 +1,4 @@
-"""Runs what owners of real recordings would type, and puts what is known beside what is said.
+"""Runs what owners of real recordings would type, and compares what is known with what is said.
 
 A case is a folder with a model, recordings, a ``plan`` (the commands that a user tries, one a line) and ``truth.yaml``:
 ``known`` in words, the answers that are ``right`` and those that are ``hedged`` (effects joined by ``+``, or a
@@ -106,7 +106,7 @@ def outcome_of(truth: KnownTruth, diagnosis: Mapping[str, Any]) -> str:
     """What an answer is worth; one of ``OUTCOMES``.
 
     * ``right``: the verdict, or the first explanation or one that is not told from it, is right, and closes enough.
-    * ``hedged``: it is among the hedged; or a right one has another effect beside it; or of ``unknown``, or of what
+    * ``hedged``: it is among the hedged; or a right one has another effect added; or of ``unknown``, or of what
       leaves something, one of the first three is right.
     * ``confidently wrong``: another effect, adequate and with a probability of 0.9 or more. ``missed``: all else.
     """

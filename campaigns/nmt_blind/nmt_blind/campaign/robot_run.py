@@ -1,4 +1,4 @@
-"""Runs cases of robots through ``./nmt diagnose`` as a user would, beside a plain fit, and tabulates the answers."""
+"""Runs cases of robots through ``./nmt diagnose`` and through a plain fit, and tabulates the answers."""
 
 from __future__ import annotations
 

@@ -82,7 +82,7 @@ def threshold_for(negative: Sequence[float], rate: float) -> float:
 
 @dataclass(frozen=True)
 class ReliabilityDiagram:
-    """Stated probabilities beside how often they were right.
+    """Stated probabilities against how often they were right.
 
     Attributes:
         error: expected calibration error, Σ n_k/n |mean stated - share right|.

@@ -538,7 +538,7 @@ _MORE: dict[str, Callable[[InjectedEffect], tuple[InjectedEffect, ...]]] = {
     ),
     "viscous_damping": lambda damper: (damper, _ADDED_MASS),
 }
-"""What a truth is beyond its element; and, beside those that they are like, truths that are none."""
+"""What a truth is beyond its element; and, next to those that they are like, truths that are none."""
 
 
 def _of_elements() -> Iterator[InjectedEffect]:

@@ -1,4 +1,4 @@
-"""How far parameters of a model are off when nobody made a mistake: priors of the truth, and draws from them."""
+"""How far parameters of a model are off without a mistake: priors of the truth, and draws from them."""
 
 from __future__ import annotations
 

@@ -367,7 +367,7 @@ def remainder_table(rest: Remainder | None) -> Table | None:
         f"{left}{interval} of the gap is left. A laboratory's rig differs from its model by more than "
         "one thing; a smooth error of some percent of what the effect does is expected."
     )
-    return Table(head, rows, note, "What is left")
+    return Table(head, rows, note, "Residual")
 
 
 def _observable_text(text: str) -> str:

@@ -70,7 +70,7 @@ def check_figure(check: RecordCheck, family: str) -> ReportFigure:
     title = f"A part of {check.record} that was left out: {family}"
     caption = (
         "Left: the force that the model lacks in the part of the largest motion, and the law with strengths of all "
-        "other parts. Right: autocorrelation of what is left of all parts. Where it lies within the band, two standard "
+        "other parts. Right: autocorrelation of the residual of all parts. Where it lies within the band, two standard "
         "deviations of independent noise, nothing is left that a law of the motion could tell."
     )
     return ReportFigure("law-check", title, caption, svg_text(drawn_check(check), "law-check", title), wide=True)

@@ -417,7 +417,7 @@ def harmonics_notes(data: RunReportData) -> list[str]:
         )
     if abs(worst_deviation(data)[1]) > _ONE_EXCITER:
         notes.append(
-            "What is left of the deviation from the reference with the harmonics at their targets comes from the place "
+            "The remaining deviation from the reference with the harmonics at their targets comes from the place "
             "of the one exciter: its fundamental also drives the other modes."
         )
     return notes

@@ -350,7 +350,7 @@ class Investigation:
         elif self._next_levels() is not None or any(not self._affordable(self._asked(item)) for item in left):
             self._end("budget", f"The bench time is used up. So far: {found.sentences[1]}")
         elif self._declined():
-            self._end("stopped", f"What is left to measure was declined. So far: {found.sentences[1]}")
+            self._end("stopped", f"The remaining tests were declined. So far: {found.sentences[1]}")
         elif self._has_no_gap():
             self._end_without_gap()
         elif end_of(found) == "unknown":

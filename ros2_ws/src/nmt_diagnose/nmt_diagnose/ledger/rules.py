@@ -86,7 +86,7 @@ NEEDED = Rule(
 )
 WITHIN = Rule(
     "within",
-    "What only brings model and measuring chain back to what is believed of them: rows leave what matters without it "
+    "What only brings model and measuring chain back to their priors: rows leave what matters without it "
     "where they stay there, or it is of a sensor.",
     "of what matters",
     lambda facts: facts.left_within,
@@ -132,7 +132,7 @@ LEFT = Rule(
 )
 CREDIBLE = Rule(
     "credible",
-    "No parameter of the model is where nobody believes it.",
+    "No parameter of the model has an implausible value.",
     "σ",
     lambda facts: facts.pull,
     _pull_limit,

@@ -312,7 +312,7 @@ def _held(name: str, table: ObservableTable) -> tuple[str, list[str]]:
     if held not in (table.reference, "response"):
         raise BenchError(
             f"{name}: the {_WHAT[held]} was held, but the responses are over the {_WHAT[table.reference]}: how large "
-            f"that was nobody knows. Give the measured {_WHAT[table.reference]} of each line as a column force_n."
+            f"that was is not known. Give the measured {_WHAT[table.reference]} of each line as a column force_n."
         )
     if not table.direction and held != "response":
         notes.append(

@@ -158,7 +158,7 @@ def clipping_notes(name: str, windows: Sequence[tuple[int, SampleStretch]]) -> l
                 clipped.setdefault(channel.name, []).append(level)
     return [
         f"{name}: channel {channel} is clipped at level {', '.join(map(str, levels))}; its observables are kept, "
-        "because clipping is one of the effects that are looked for."
+        "because clipping is one of the effects of the library."
         for channel, levels in clipped.items()
     ]
 

@@ -332,9 +332,9 @@ def test_a_remainder_and_warnings_stand_in_the_verdict_and_on_the_page() -> None
     assert kind == "partly"
     page = text_of(diagnosis_page(replace(report, diagnosis=changed)))
     assert warning in page
-    assert re.search(r"frequency\s+highest levels\s+80\s%\s+3\.10?\s+0\.420?\s%", page), page[
-        page.find("Residual") :
-    ][:400]
+    assert re.search(r"frequency\s+highest levels\s+80\s%\s+3\.10?\s+0\.420?\s%", page), page[page.find("Residual") :][
+        :400
+    ]
     assert re.search(r"6 % \(3 to 10 %\) of the gap is left", page)
     assert changed.to_mapping()["remainder"]["where"][0]["levels"] == "highest levels"
     assert verdict_text(replace(changed, warnings=(warning, warning)))[0].endswith("mind the 2 warnings")

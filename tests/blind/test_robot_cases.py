@@ -21,16 +21,20 @@ BOTH = RobotCase(Path("both"), "two", (COULOMB, LATE))
 WARM = RobotCase(Path("warm"), "unknown", (HEAT,))
 
 
-GEARED = RobotCase(Path("geared"), "log", (Planted("torque_constant", "log", "knee", ("gain",), ()),))
+GEARED = RobotCase(
+    Path("geared"), "log", (Planted("torque_constant", "log", "knee", ("gain", "torque constant of knee"), ()),)
+)
 EITHER = (("knee", frozenset({"gain", "link_mass"})),)
 
 
-def stating(*terms: str, log: tuple[str, ...] = (), classes: tuple[tuple[str, frozenset[str]], ...] = ()) -> Claims:
-    """Claims of terms such as ``coulomb@knee``, findings of all joints, and classes."""
+def stating(
+    *terms: str, log: tuple[str, ...] = (), classes: tuple[tuple[str, frozenset[str]], ...] = (), shared: str = ""
+) -> Claims:
+    """Claims of terms such as ``coulomb@knee``, findings of all joints, classes, and words for the bodies."""
     pairs = [term.split("@") for term in terms]
     return Claims(
         tuple((joint, key) for key, joint in pairs), tuple(((), key) for key in log),
-        {("knee", "coulomb"): (0.9, 0.05)}, classes,
+        {("knee", "coulomb"): (0.9, 0.05)}, classes, frozenset({shared} - {""}),
     )  # fmt: skip
 
 
@@ -56,6 +60,9 @@ def stating(*terms: str, log: tuple[str, ...] = (), classes: tuple[tuple[str, fr
         (WARM, stating("spring@knee"), "confidently wrong"),
         (GEARED, stating(classes=EITHER), "hedged"),
         (GEARED, stating(log=("gain",)), "right"),
+        (GEARED, stating(shared="torque constant of knee"), "right"),
+        (GEARED, stating(shared="torque constant of hip"), "confidently wrong"),
+        (RUBBING, stating("coulomb@knee", shared="body of shin"), "hedged wrong"),
         (RUBBING, stating("coulomb@knee", classes=EITHER), "hedged wrong"),
         (FINE, stating(classes=EITHER), "hedged wrong"),
         (WARM, stating(classes=EITHER), "hedged wrong"),

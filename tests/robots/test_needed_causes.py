@@ -185,11 +185,44 @@ def test_friction_that_changes_over_the_log_is_no_constant(tmp_path: Path, late:
         assert found.causes == ("coulomb",)
         return
     assert share is not None
-    assert share.fall is not None
-    start, end = (float(word) for word in share.fall.words.split(" from ")[1].split(" N·m")[0].split(" to "))
+    assert share.stated is not None
+    start, end = (float(word) for word in share.stated.words.split(" from ")[1].split(" N·m")[0].split(" to "))
     assert start == pytest.approx(0.9, abs=0.05)
     assert end == pytest.approx(late + 0.6 * np.exp(-3.0), abs=0.04)
-    assert abs(share.fall.size - (start - end)) < 0.03
+    assert abs(share.stated.size - (start - end)) < 0.03
+
+
+def bristle(size: float, reach: float) -> Callable[[float, float], float]:
+    """Friction of an elastic bristle whose foot is dragged along, of a joint that starts at 0.4 rad."""
+    foot = [0.4]
+
+    def torque(q: float, v: float) -> float:
+        foot[0] = min(max(foot[0], q - reach), q + reach)
+        return size * (q - foot[0]) / reach
+
+    return torque
+
+
+@pytest.mark.parametrize(("reach", "noise"), [(0.001, 1e-5), (0.003, 1e-4)])
+def test_friction_that_builds_up_over_an_angle_is_told_with_it(tmp_path: Path, reach: float, noise: float) -> None:
+    """The bristle is integrated with the motion, the diagnosis has its state from the logged angle alone."""
+    np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.0, noise=noise, more=bristle(0.5, reach)))
+    diagnosis = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")
+    (joint,) = diagnosis.joints
+    (term,) = [term for term in joint.terms if term.differs]
+    assert term.text().startswith("friction builds up over")
+    assert abs(term.value - 1e3 * reach) < 2.5 * term.std < 0.4
+    assert joint.left < 0.3 * joint.plain
+    assert joint.mechanics is not None
+    share = joint.mechanics.share("creep")
+    assert share is not None
+    assert share.size == pytest.approx(0.5, rel=0.05)
+
+
+def test_a_joint_that_sticks_does_not_creep(tmp_path: Path) -> None:
+    asked = problem(tmp_path)
+    assert not any(effect.reach for effect in asked.rivals)
+    assert np.array_equal(asked._rows, asked.motion.moving[:, 0])
 
 
 def test_a_cause_that_leaves_much_is_named_in_part(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ A case is a folder with ``robot.xml`` as its owner believes it, ``log.yaml`` wit
     - name: coulomb
       of: joint                 # or log
       joint: knee               # empty = all
-      named: [coulomb]          # terms of the joint, or findings on the log, that name it
+      named: [coulomb]          # terms of the joint, words for the bodies, or findings on the log, that name it
       partly: []                # terms that are a part of it or of its class
       value: 0.8                # of the term, where it has one
 """
@@ -23,6 +23,7 @@ from typing import Any
 from nmt_blind.campaign.foreign_case import TRUTH_FILE
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_text, yaml_value
+from nmt_robots.verdict.joint_verdict import OF_ALL_JOINTS
 
 ROBOT_FILE, SIDECAR = "robot.xml", "log.yaml"
 KINDS = ("healthy", "effect", "log", "two", "unknown")
@@ -74,19 +75,23 @@ class Claims:
         findings: pairs of joints (empty = all) and key of the faults of the log.
         values: value and standard uncertainty of a term, by joint and term.
         classes: joint and keys of causes of which one is there, without a claim which.
+        shared: words for what differs of the bodies or of a drive's constant, which all joints were asked for.
     """
 
     terms: tuple[tuple[str, str], ...]
     findings: tuple[tuple[tuple[str, ...], str], ...]
     values: Mapping[tuple[str, str], tuple[float, float]]
     classes: tuple[tuple[str, frozenset[str]], ...] = ()
+    shared: frozenset[str] = frozenset()
 
     @property
     def text(self) -> str:
         """In one line."""
         log = ", ".join(f"{key}({','.join(joints)})" if joints else key for joints, key in self.findings)
         either = [f"{' or '.join(sorted(keys))}@{joint}" for joint, keys in self.classes]
-        return f"[{log}] " + ", ".join([*(f"{key}@{joint}" for joint, key in self.terms), *either])
+        return f"[{log}] " + ", ".join(
+            [*sorted(self.shared), *(f"{key}@{joint}" for joint, key in self.terms), *either]
+        )
 
 
 @dataclass(frozen=True)
@@ -132,10 +137,12 @@ def _case(path: Path) -> RobotCase:
 
 def claims_of(diagnosis: Mapping[str, Any]) -> Claims:
     """What a ``diagnosis.json`` of a robot states."""
-    terms, values = [], {}
+    terms, values, shared = [], {}, set()
     for joint in diagnosis["joints"]:
         for term in joint["terms"]:
-            if term["differs"]:
+            if term["differs"] and term["key"] in OF_ALL_JOINTS:
+                shared.add(str(term["words"]))
+            elif term["differs"]:
                 terms.append((str(joint["joint"]), str(term["key"])))
             values[str(joint["joint"]), str(term["key"])] = (float(term["value"]), float(term["std"]))
     faults = [item for item in diagnosis["log_findings"] if item["fault"] and not item["instead"]]
@@ -147,7 +154,7 @@ def claims_of(diagnosis: Mapping[str, Any]) -> Claims:
     ]
     return Claims(
         tuple(terms), tuple((tuple(map(str, item["joints"])), str(item["key"])) for item in faults), values,
-        tuple(classes),
+        tuple(classes), frozenset(shared),
     )  # fmt: skip
 
 
@@ -164,7 +171,8 @@ def judge_robot(case: RobotCase, claims: Claims) -> RobotAnswer:
     * hedged wrong: all else, such as silence, or a class of which nothing is there.
     """
     named = [_named(cause, claims) for cause in case.causes]
-    false_terms = [term for term in claims.terms if not _allowed_term(case, *term)]
+    false_terms = [f"{key}@{joint}" for joint, key in claims.terms if not _allowed_term(case, joint, key)]
+    false_terms += sorted(claims.shared.difference(*(cause.named for cause in case.causes)))
     false_findings = [key for joints, key in claims.findings if not _allowed_finding(case, key)]
     false_classes = [
         f"{' or '.join(sorted(keys))}@{joint}"
@@ -172,7 +180,7 @@ def judge_robot(case: RobotCase, claims: Claims) -> RobotAnswer:
         if not any(cause.joint in ("", joint) and keys & {*cause.named} for cause in case.causes)
     ]
     deviation = _deviation(case, claims)
-    words = ", ".join([*(f"{key}@{joint}" for joint, key in false_terms), *false_findings, *false_classes])
+    words = ", ".join([*false_terms, *false_findings, *false_classes])
     reason = f"false: {words}" if words else ""
     if case.kind == "unknown":
         sure = "confidently wrong" if false_terms or false_findings else "right"
@@ -192,6 +200,8 @@ def judge_robot(case: RobotCase, claims: Claims) -> RobotAnswer:
 
 def _named(cause: Planted, claims: Claims) -> int:
     """2: named; 1: a part of it, in a class, or behind another term of its joint; 0: not."""
+    if claims.shared & {*cause.named}:
+        return 2
     in_class = any(cause.joint in ("", joint) and keys & {*cause.named} for joint, keys in claims.classes)
     if cause.of == "log":
         hits = [joints for joints, key in claims.findings if key in cause.named]

@@ -17,7 +17,7 @@ import numpy as np
 from nmt_core.text.number_words import percent, value_text
 from nmt_robots.bodies.body_choice import EVERY, BodyEvidence, Choice, Explanation, Weighed
 from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, across, body_rows, free_spread, whitened
-from nmt_robots.bodies.body_shape import moved_body
+from nmt_robots.bodies.body_shape import SHAPE, moved_body
 from nmt_robots.bodies.robot_parts import Part, last_links, parts_of
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.model.links import parameters_of, split_parameters
@@ -36,8 +36,11 @@ _MISFIT = 3.0
 """Pull of a tolerance, in standard deviations, from which the bodies are not as in the file for sure."""
 _IMPLAUSIBLE = 3.5
 _FEWEST_ROWS = 80
-_OF_ONE_JOINT = {"spring": "spring at"}
-"""Explanations that no body is: the joint is asked for them."""
+_WORDS = {
+    ("spring", True): "spring at", ("constant", True): "gain or torque constant of",
+    ("constant", False): "torque constant of",
+}  # fmt: skip
+"""Of a joint, and whether the joint is asked for it: a computed torque has two gains next to the drive's constant."""
 _AXES = ("x", "y", "z")
 
 
@@ -87,6 +90,7 @@ class BodyFinding:
         effect: J, rms of its change over each joint's torque.
         before, after: J, torque left on the last part by values of the rows before, as given and as changed; N·m.
         robot: the changed model; the same object where nothing is claimed.
+        within: the same with all links moved within the file's tolerances to where they fit best, for the joints.
         factor: J, of each joint's logged torque against the real one.
         unseen: what this log cannot tell, by name.
         misfit: largest pull of a tolerance where nothing differs, in standard deviations.
@@ -99,6 +103,7 @@ class BodyFinding:
     sentence: str
     probability: float
     robot: RobotModel
+    within: RobotModel
     factor: Array
     effect: Array
     before: Array
@@ -145,7 +150,7 @@ def body_finding(robot: RobotModel, log: JointLog, torque: Array, joints: Sequen
     evidence = BodyEvidence(
         rows, white, last_links(robot, rows.links), [(part.parameters, part.link) for part in parts]
     )
-    asked = _Asked(robot, log.joints, rows, evidence, parts)
+    asked = _Asked(robot, log.joints, rows, evidence, parts, log.is_arithmetic)
     return asked.finding(evidence.choose())
 
 
@@ -153,9 +158,11 @@ class _Asked:
     """Bodies of one log, and words for them."""
 
     def __init__(
-        self, robot: RobotModel, joints: tuple[str, ...], rows: BodyRows, evidence: BodyEvidence, parts: list[Part]
-    ) -> None:
+        self, robot: RobotModel, joints: tuple[str, ...], rows: BodyRows, evidence: BodyEvidence, parts: list[Part],
+        arithmetic: bool,
+    ) -> None:  # fmt: skip
         self._robot, self._joints, self._rows, self._evidence, self._parts = robot, joints, rows, evidence, parts
+        self._of_one_joint = {"spring", "constant"} if arithmetic else {"spring"}
 
     def finding(self, choice: Choice) -> BodyFinding:
         """The answer by all explanations."""
@@ -167,8 +174,8 @@ class _Asked:
         unseen = tuple(self._unseen())
         instead = tuple((self._words(item.explanation), share) for item, share in choice.named[1:])
         base = BodyFinding(
-            "none", "", "", probability, self._robot, np.ones(width), np.zeros(width), before, before, (), instead,
-            unseen, nothing.pulled, tuple(self._subject(item.explanation) for item, _ in choice.named),
+            "none", "", "", probability, self._robot, self._robot, np.ones(width), np.zeros(width), before, before, (),
+            instead, unseen, nothing.pulled, tuple(self._subject(item.explanation) for item, _ in choice.named),
         )  # fmt: skip
         if len(choice.named) > 1:
             listed = ", ".join(f"{self._words(item.explanation)} ({percent(share)})" for item, share in choice.named)
@@ -183,7 +190,7 @@ class _Asked:
                     "of the explanations has."
                 )
             return replace(base, sentence=words)
-        if best.explanation.kind in _OF_ONE_JOINT:
+        if best.explanation.kind in self._of_one_joint:
             words = f"{_capital(self._words(best.explanation))} explains the torque better than any body."
             return replace(base, kind="joint", sentence=words)
         if best.reached > _IMPLAUSIBLE:
@@ -252,7 +259,9 @@ class _Asked:
         sized = "; ".join(f"{value.body}: {value.text()}" for value in values if explanation.off < 0 or value.std > 0.0)
         factor = np.ones(len(self._joints))
         factor += np.where(fitted.spread[self._rows.drives] > 0.05, fitted.numbers[self._rows.drives], 0.0)
-        changes, gravity = self._changes(fitted), self._gravity(fitted)
+        far = evidence.spread(explanation)[1]
+        changes, gravity = self._changes(fitted, np.where(far, fitted.numbers[: len(far)], 0.0)), self._gravity(fitted)
+        moved = self._changes(fitted, fitted.numbers)
         sentence = (
             f"{_capital(words)}{': ' if sized else ''}{sized}. All joints were asked together; posterior "
             f"probability {base.probability:.3g}. On the last part of the log, by values from before, the torque left "
@@ -261,7 +270,8 @@ class _Asked:
         return replace(
             base, kind=kind, words=words, subjects=(self._subject(fitted.explanation),), sentence=sentence,
             values=values, effect=evidence.effect(fitted.wide), after=after, factor=factor, changes=changes,
-            robot=self._robot.with_bodies(changes, gravity), gravity=gravity,
+            robot=self._robot.with_bodies(changes, gravity), within=self._robot.with_bodies(moved, gravity),
+            gravity=gravity,
         )  # fmt: skip
 
     def _measured(self, best: Weighed, link: int, numbers: tuple[int, ...]) -> tuple[int, ...]:
@@ -308,7 +318,7 @@ class _Asked:
         if explanation.end >= 0:
             return f"payload on {self._link_name(explanation.end)} that is not in the file"
         if explanation.joint >= 0:
-            what = _OF_ONE_JOINT.get(explanation.kind, "torque constant of")
+            what = _WORDS[explanation.kind, explanation.kind in self._of_one_joint]
             return f"{what} {self._joints[explanation.joint]}"
         if explanation.kind == "tilt":
             return "base that leans"
@@ -351,28 +361,25 @@ class _Asked:
             found.append(BodyValue("base", "lean", size, float(spread), 0.0, "°"))
         return found
 
-    def _changes(self, item: Weighed) -> tuple[BodyChange, ...]:
-        """Mass, centre and inertia of each body that differs."""
+    def _changes(self, item: Weighed, numbers: Array) -> tuple[BodyChange, ...]:
+        """Mass, centre and inertia of each body that differs, with some numbers of the links."""
         model, data = self._robot.at_rest()
         found: dict[int, BodyChange] = {}
         explanation = item.explanation
-        for link, numbers in explanation.wide:
-            values = np.zeros(len(EVERY))
-            values[list(numbers)] = item.of_link(link)[0][list(numbers)]
-            about = self._evidence.shapes[link].centre
-            root = self._rows.links[link].root
+        for link, shape in enumerate(self._evidence.shapes):
+            values, root = numbers[SHAPE * link : SHAPE * (link + 1)], self._rows.links[link].root
+            if not np.any(values) and link != explanation.end:
+                continue
+            load = self._evidence.payload(link, item.numbers) if link == explanation.end else np.zeros(len(EVERY))
             for body in self._rows.links[link].bodies:
-                if model.body_mass[body] > 0.0:
-                    placed = body_in(model, data, root, body)
-                    found[body] = body_change(model, data, root, body, moved_body(placed, about, values))
+                if model.body_mass[body] > 0.0 or (body == root and np.any(load)):
+                    moved = moved_body(body_in(model, data, root, body), shape.centre, values)
+                    if body == root:
+                        moved = split_parameters(parameters_of(*moved) + load)
+                    found[body] = body_change(model, data, root, body, moved)
         if explanation.off >= 0:
             for body in self._parts[explanation.off].bodies:
                 found[body] = BodyChange(body, 0.0, np.zeros(3), np.zeros((3, 3)))
-        if explanation.end >= 0:
-            root = self._rows.links[explanation.end].root
-            load = self._evidence.payload(explanation.end, item.numbers)
-            together = split_parameters(parameters_of(*body_in(model, data, root, root)) + load)
-            found[root] = body_change(model, data, root, root, together)
         return tuple(found.values())
 
     def _gravity(self, item: Weighed) -> Array | None:

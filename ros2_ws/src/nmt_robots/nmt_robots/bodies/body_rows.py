@@ -15,8 +15,8 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.signal import butter, sosfiltfilt
 
-from nmt_core.numerics.kernels import njit
 from nmt_robots.log.joint_log import Array
+from nmt_robots.mechanics.motion import built_up
 from nmt_robots.model.links import Link, LinkMotion
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.thresholds import THRESHOLDS
@@ -134,7 +134,7 @@ def body_rows(
     spread = _FRICTION * size
     nuisances = np.zeros((len(keep), width, len(_KINDS), width))
     late = passed(np.gradient(torque, step_s, axis=0)) * _LATE_S
-    kinds = (rubbing, passed(_creeping(q, _CREEP_RAD)), passed(v), inertial, np.ones_like(target))
+    kinds = (rubbing, passed(built_up(q, _CREEP_RAD)), passed(v), inertial, np.ones_like(target))
     for place, values in enumerate(kinds):
         scaled = spread * values / np.maximum(np.sqrt(np.mean(values**2, axis=0)), 1e-12)
         for joint in range(width):
@@ -153,18 +153,6 @@ def across(gravity: Array) -> Array:
     first = np.cross(down, np.eye(3)[int(np.argmin(np.abs(down)))])
     first /= np.linalg.norm(first)
     return np.array([first, np.cross(down, first)])
-
-
-@njit(cache=True)
-def _creeping(q: Array, reach: float) -> Array:
-    """Rows × J: friction of size one that builds up over an angle after each reversal."""
-    found = np.zeros_like(q)
-    for joint in range(q.shape[1]):
-        held = 0.0
-        for row in range(1, len(q)):
-            held = min(max(held + (q[row, joint] - q[row - 1, joint]) / reach, -1.0), 1.0)
-            found[row, joint] = held
-    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from nmt_robots.log.joint_log import Array
-from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.motion import Motion, built_up
 from nmt_robots.mechanics.readings import DriveSignals
 
 _LARGEST_SCALE = 0.5
@@ -21,6 +21,11 @@ _WARMING = (0.1, 0.2, 0.35, 0.7)
 
 _LARGEST_MASS = 1.0
 """Of a link, as a share of it, that it may carry or lack."""
+
+REACHES = np.geomspace(5e-4, 8e-3, 13)
+"""Angles over which friction may build up, rad."""
+_FINEST = 8.0
+"""Of an encoder's noise, below which an angle is not told from no angle at all."""
 
 _PASSIVE = frozenset({"stribeck", "quadratic_friction", "root_friction", "load_friction", "end_stop"})
 """Rivals that would drive the joint if their coefficient were negative."""
@@ -35,6 +40,7 @@ class State:
         gravity, inertial: torque of the rigid bodies at rest, and what motion adds to it, N·m.
         torque: of the drive, N·m.
         error, speed_error: what its gains multiply, rad and rad/s; NaN where the torque was measured.
+        built: friction of size one that builds up over an angle; NaN where that is not asked.
     """
 
     q: Any
@@ -45,6 +51,7 @@ class State:
     torque: Any = math.nan
     error: Any = math.nan
     speed_error: Any = math.nan
+    built: Any = math.nan
 
 
 Law = Callable[[State], tuple[Any, ...]]
@@ -67,6 +74,7 @@ class Effect:
         frees: key of a usual effect that it brings with it, such as the offset of a spring whose rest is not known.
         made_of_torque: whether the columns are part of the drive's torque itself, so that they can make it small.
         law: that the columns follow; None for columns of more than one joint.
+        reach: angle over which friction builds up, rad; zero of other effects.
     """
 
     key: str
@@ -80,6 +88,7 @@ class Effect:
     smallest: float = 0.0
     frees: str = ""
     law: Law | None = None
+    reach: float = 0.0
 
     @property
     def parameters(self) -> int:
@@ -103,6 +112,23 @@ def usual_effects(motion: Motion, joint: int) -> list[Effect]:
         _following(state, lambda s: (s.a,), "armature", "armature", "kg·m²", never_negative=True),
         _following(state, lambda s: (1.0,), "offset", "offset of the torque", "N·m"),
     ]
+
+
+def creeping_effects(motion: Motion, joint: int) -> list[Effect]:
+    """Friction that builds up over an angle instead of at once, for angles that the encoder resolves."""
+    position, state = motion.position[:, [joint]], _state(motion, joint)
+    noise = float(np.median(np.abs(np.diff(position[:, 0], 2)))) / (0.6745 * np.sqrt(6.0))
+    steps = np.abs(np.diff(position[:, 0]))
+    coarse = max(noise, float(np.min(steps[steps > 0.0], initial=np.inf)))
+    return [
+        _following(
+            replace(state, built=motion.smooth(built_up(position, reach)[:, 0])), lambda s: (s.built - np.sign(s.v),),
+            "creep", "friction that builds up over an angle", "N·m", never_negative=True,
+            shape=f"{1e3 * reach:.2g} mrad", reach=float(reach),
+        )
+        for reach in REACHES
+        if reach > _FINEST * coarse
+    ]  # fmt: skip
 
 
 def _state(motion: Motion, joint: int, drive: DriveSignals | None = None) -> State:

@@ -27,6 +27,11 @@ _RELATIVE = {
 }
 
 
+def independent_rows(rows: int, step_s: float) -> float:
+    """Number of independent ones among so many."""
+    return max(_PER_SECOND * rows * step_s, 8.0)
+
+
 def joint_space(
     left: Array, torque: Array, bodies: Sequence[Array], seconds: Array, step_s: float, effects: Sequence[tuple[Effect,
     Array]], in_model: dict[str, float],
@@ -75,6 +80,6 @@ def joint_space(
         THRESHOLDS.mass_tolerance * heaviest * np.sin(angle),
         THRESHOLDS.lag_s * change,
     ]
-    independent = max(_PER_SECOND * len(left) * step_s, 8.0)
+    independent = independent_rows(len(left), step_s)
     floor = THRESHOLDS.smallest_floor * size
     return Space(left, np.column_stack(nuisances), seconds, independent, floor, torque, library)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nmt_diagnose.choose.choice import Choice
+from nmt_diagnose.choose.choice import Choice, Chosen
 from nmt_diagnose.choose.space import Space
 from nmt_robots.log.joint_log import Array
-from nmt_robots.mechanics.columns import Effect, rival_effects, usual_effects
-from nmt_robots.mechanics.joint_space import MARGIN, joint_space
+from nmt_robots.mechanics.columns import Effect, creeping_effects, rival_effects, usual_effects
+from nmt_robots.mechanics.joint_space import MARGIN, independent_rows, joint_space
 from nmt_robots.mechanics.least_squares import Fit, fitted, solve
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import DriveSignals
@@ -26,22 +26,28 @@ _FALLS = frozenset({"stribeck", "changing_friction"})
 _SLOW_AND_FAST = (0.02, 0.95)  # of the rows, by speed: between these friction that falls with speed is stated
 _FORM_AS_WELL = 1.05
 """Torque left by another form of the same effect against that of the chosen one, up to which it widens the ±."""
+_FEWEST_SLOW = 0.01
+"""Share of the rows in which a joint must be slow for friction that builds up to be asked for."""
+_AS_ROWS_THAT_MOVE = 1.5
+"""Torque left in rows that may stick against that in rows that move, up to which they are equations as well."""
 _MOSTLY_OTHERS = 0.1
 """Of a column, beyond other effects, below which it is theirs and says nothing of a further one."""
 
 
 @dataclass(frozen=True)
-class Fall:
-    """By how much friction falls over what the log holds, which a coefficient at no speed or no time does not tell.
+class Stated:
+    """What is stated of friction in the place of its coefficient, which is one at no speed, no time or no angle.
 
     Attributes:
-        words: what falls, and between what.
-        size, std: by how much, N·m.
+        words: what falls or builds up, and between what.
+        size, std: by how much, or over how much.
+        unit: of both.
     """
 
     words: str
     size: float
     std: float
+    unit: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +62,7 @@ class Share:
         alike: words of effects whose columns say the same in this log.
         equal: those of them whose columns are the same, so that no fit parts them.
         impossible: what a coefficient would be that may not be negative; zero where it is allowed.
-        fall: what it makes of friction over the speeds or seconds of the log; None of other effects.
+        stated: what it makes of friction over the speeds, seconds or angles of the log; None of other effects.
     """
 
     effect: Effect
@@ -67,7 +73,7 @@ class Share:
     alike: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
     impossible: float = 0.0
-    fall: Fall | None = None
+    stated: Stated | None = None
 
     @property
     def size(self) -> float:
@@ -158,20 +164,47 @@ class JointProblem:
     def __init__(self, motion: Motion, joint: int, drive: DriveSignals, names: tuple[str, ...] = ()) -> None:
         self.motion, self.joint = motion, joint
         smooth = motion.smooth_twice(drive.torque)
-        self._rows = motion.moving[:, joint]
-        self.torque = smooth[self._rows]
         self._every = smooth - motion.rigid[:, joint]
+        self.usual = usual_effects(motion, joint)
+        self._filtered: dict[int, Array] = {}
+        creeping = creeping_effects(motion, joint)
+        self._rows = self._equations(creeping)
+        self.torque = smooth[self._rows]
         self.left = self._every[self._rows]
         self._change = np.gradient(smooth, motion.step_s)[self._rows]
         self.blocks = motion.blocks[self._rows]
-        self.usual = usual_effects(motion, joint)
-        self._filtered: dict[int, Array] = {}
         every = rival_effects(motion, joint, drive.through(motion.smooth), names)
+        if np.any(self._rows & ~motion.moving[:, joint]):
+            every += creeping
         # A velocity gain next to a commanded speed of zero, or the inertia of a single link: it is named with the usual
         # effect that has the same column, and is not a rival of it.
         twins = self._twins(every)
         self.rivals = [rival for rival in every if rival not in twins]
         self.library = [*self.usual, *self.rivals, *twins]
+
+    def _equations(self, creeping: list[Effect]) -> Array:
+        """N: rows that move; all of them where friction that builds up explains those that may stick as well as others.
+
+        Torque and angle of a joint that creeps go together, those of one that sticks do not.
+        """
+        moving, edge = self.motion.moving[:, self.joint], self.motion.window
+        every = np.zeros_like(moving)
+        every[edge : len(every) - edge] = True
+        slow = every & ~moving
+        if np.count_nonzero(slow) < _FEWEST_SLOW * np.count_nonzero(every) or not creeping:
+            return moving
+        usual = self.motion.smooth(np.column_stack([effect.columns for effect in self.usual]))
+        odd, lefts = self.motion.blocks % 2 == 1, []
+        for further in (None, *creeping):
+            matrix = usual if further is None else np.hstack([usual, self.motion.smooth(further.columns)])
+            left = np.empty(len(matrix))
+            for test in (odd, ~odd):
+                known = every & ~test
+                left[test] = self._every[test] - matrix[test] @ np.linalg.lstsq(matrix[known], self._every[known])[0]
+            lefts.append((_rms(left[slow]), _rms(left[every & moving])))
+        plain, best = lefts[0], min(lefts[1:])
+        explained = best[0] < (1.0 - THRESHOLDS.gives_way / 2.0) * plain[0] and best[0] < _AS_ROWS_THAT_MOVE * best[1]
+        return every if explained else moving
 
     def _twins(self, rivals: list[Effect]) -> list[Effect]:
         """Rivals whose column is that of friction or armature, beyond the other usual effects."""
@@ -250,20 +283,38 @@ class JointProblem:
             [(effect, self.columns([effect])) for effect in [*self.usual, *self.rivals]], in_model,
         )  # fmt: skip
 
-    def last_left(self, causes: list[Effect], in_model: dict[str, float]) -> float:
-        """Torque on the last part of the log that the model leaves over with causes of values from before, rms, N·m."""
-        left = self.left
-        for effect in self.usual:
-            left = left - in_model.get(effect.key, 0.0) * self.columns([effect])[:, 0]
-        early = int(_LAST_PART * len(left))
-        if not causes:
-            return _rms(left[early:])
-        matrix = self.columns(causes)
-        values = np.linalg.lstsq(matrix[:early], left[:early], rcond=1e-10)[0]
+    def last_without(self, cause: Effect, effects: list[Effect], in_model: float) -> float:
+        """Torque on the last part of the log that others leave over by values from before, rms, N·m.
+
+        Args:
+            cause: which is as in the model.
+            effects: with it among them.
+            in_model: its coefficient there.
+        """
+        others = [effect for effect in effects if effect is not cause]
+        matrix, early = self.columns(others), int(_LAST_PART * len(self.left))
+        left = self.left - in_model * self.columns([cause])[:, 0]
+        values = solve(matrix[:early], left[:early], never_negative(others))[0]
         return _rms(left[early:] - matrix[early:] @ values)
 
-    def fall(self, effects: list[Effect], effect: Effect, fit: Fit) -> Fall | None:
-        """By how much friction falls over the speeds or seconds of the log; forms that fit as well are in its ±."""
+    def last_within(self, causes: list[Effect], space: Space) -> float:
+        """The same that causes leave of the model, all else within its tolerances; the mean of a torque is free."""
+        early, loose = int(_LAST_PART * len(space.left)), space.nuisances.shape[1]
+        free = [*causes, *(effect for effect in self.usual if effect.key == "offset" and effect not in causes)]
+        matrix = np.hstack([space.nuisances, self.columns(free)])
+        known, left = matrix[:early], space.left[:early]
+        prior = np.diag(np.where(np.arange(matrix.shape[1]) < loose, 1.0, 0.0))
+        # With the torque itself as the error of a row tolerances hardly take what a claim should.
+        weight = space.independent / len(space.left) / max(float(np.mean(left**2)), space.floor**2)
+        values = np.linalg.lstsq(weight * known.T @ known + prior, weight * known.T @ left, rcond=1e-12)[0]
+        return _rms(space.left[early:] - matrix[early:] @ values)
+
+    def stated(self, effects: list[Effect], effect: Effect, fit: Fit) -> Stated | None:
+        """By how much friction falls over the speeds or seconds of the log, or over which angle it builds up; forms
+        that fit as well are in its ±.
+        """
+        if effect.reach:
+            return self._reach(effects, effect)
         if effect.key not in _FALLS:
             return None
         others = [item for item in effects if item is not effect]
@@ -294,7 +345,28 @@ class JointProblem:
             friction = effect.columns[rows, 0] * np.sign(speed) * fit.values[place] + fit.values[at]
             start, end = float(np.mean(friction[:count])), float(np.mean(friction[-count:]))
             words = f"friction that changes over the log from {start:.2g} to {end:.2g} N·m, falling by"
-        return Fall(words, falls[0], std)
+        return Stated(words, falls[0], std, "N·m")
+
+    def _reach(self, effects: list[Effect], effect: Effect) -> Stated:
+        """The angle over which friction builds up, by the squares left over those of its grid, as independent rows."""
+        forms = [item for item in self.rivals if item.key == effect.key]
+        squares = []
+        for form in forms:
+            every = [form if item is effect else item for item in effects]
+            matrix = self.columns(every)
+            squares.append(_rms(self.left - matrix @ solve(matrix, self.left, never_negative(every))[0]) ** 2)
+        rows = independent_rows(len(self.left), self.motion.step_s)
+        log_likelihood = -0.5 * rows * np.log(np.array(squares) / min(squares))
+        fine = np.linspace(np.log(forms[0].reach), np.log(forms[-1].reach), 200)
+        weights = np.exp(np.interp(fine, np.log([form.reach for form in forms]), log_likelihood))
+        weights /= np.sum(weights)
+        reach = 1e3 * np.exp(fine)
+        mean = float(weights @ reach)
+        return Stated("friction builds up over", mean, float(np.sqrt(weights @ (reach - mean) ** 2)), "mrad")
+
+    def rival(self, key: str, shape: str) -> Effect | None:
+        """One of the rivals."""
+        return next((item for item in self.rivals if (item.key, item.shape) == (key, shape)), None)
 
     def credible(self, effects: list[Effect], rival: Effect) -> bool:
         """Whether a rival with other effects is within its limits where all of them are free."""
@@ -334,10 +406,9 @@ def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechan
         in_model: values of the usual effects in the model, by key.
         kept: mechanics under another reading, whose causes are taken without asking.
     """
+    space = problem.space(in_model)
     if kept is None:
-        space = problem.space(in_model)
-        chosen = Choice(space).grow(space.columns(), _CAUSES_AT_MOST, _ALIKE)
-        names = [(cause.term, cause.variant) for cause in chosen.causes]
+        chosen, names = _asked(problem, space)
         choice = JointChoice(
             tuple(key for key, _ in names), tuple(key for _, key in chosen.instead),
             {key: chosen.probability(("", key)) for key, _ in names},
@@ -346,27 +417,57 @@ def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechan
     else:
         choice = kept.choice
         names = [(share.effect.key, share.effect.shape) for share in kept.shares]
-    effects = list(problem.usual)
-    for name in names:
-        rival = next((item for item in problem.rivals if (item.key, item.shape) == name), None)
-        if rival is not None and (kept is not None or problem.credible(effects, rival)):
-            effects.append(rival)
+    effects = [*problem.usual, *(item for name in names if (item := problem.rival(*name)) is not None)]
     shares = _shares(problem, effects, problem.fit(effects), named=kept is None)
     coulomb = next(share.size for share in shares if share.effect.key == "coulomb")
-    # The mean of a torque is asked of no cause but its own.
-    means = [effect for effect in problem.usual if effect.key == "offset"]
-    causes = [effect for effect in effects if effect.key in choice.causes and effect not in means]
-    last = problem.last_left([*causes, *means], in_model)
-    asked = [*causes, *(effect for effect in means if effect.key in choice.causes)]
-    lost = frozenset(
-        cause.key
-        for cause in asked
-        if last >= problem.last_left([effect for effect in [*causes, *means] if effect is not cause], in_model)
-    )
+    lost = _lost(problem, effects, choice.causes, space, in_model)
     return JointMechanics(
         tuple(shares), problem.held_out(effects), problem.held_out(problem.usual),
         problem.excess_in_stick(coulomb), choice, lost,
     )  # fmt: skip
+
+
+def _asked(problem: JointProblem, space: Space) -> tuple[Chosen, list[tuple[str, str]]]:
+    """The choice, and keys and shapes of its causes; what is not credible where all is free is not asked again."""
+    library = space.columns()
+    while True:
+        chosen = Choice(space).grow(library, _CAUSES_AT_MOST, _ALIKE)
+        names, effects, refused = [(cause.term, cause.variant) for cause in chosen.causes], list(problem.usual), set()
+        for name in names:
+            rival = problem.rival(*name)
+            if rival is None:
+                continue
+            if problem.credible(effects, rival):
+                effects.append(rival)
+            else:
+                refused.add(rival.key)
+        if not refused:
+            return chosen, names
+        library = [item for item in library if item.term not in refused]
+
+
+def _lost(
+    problem: JointProblem, effects: list[Effect], causes: tuple[str, ...], space: Space, in_model: dict[str, float]
+) -> frozenset[str]:
+    """Causes that leave no less on the last part of the log, worst first; each is judged without those lost before."""
+    kept, lost = list(effects), set[str]()
+    while True:
+        claimed = [effect for effect in kept if effect.key in causes and effect.key not in lost]
+        found = problem.held_out(kept).last, problem.last_within(claimed, space)
+        worst = {
+            effect: max(
+                found[0] / problem.last_without(effect, kept, in_model.get(effect.key, 0.0)),
+                0.0
+                if effect.key == "offset"
+                else found[1] / problem.last_within([item for item in claimed if item is not effect], space),
+            )
+            for effect in claimed
+        }
+        cause = max(worst, key=lambda effect: worst[effect], default=None)
+        if cause is None or worst[cause] < 1.0:
+            return frozenset(lost)
+        lost.add(cause.key)
+        kept = [effect for effect in kept if effect is not cause or effect in problem.usual]
 
 
 def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool) -> list[Share]:
@@ -384,7 +485,7 @@ def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool)
             impossible = 0.0
         shares.append(
             Share(effect, fit.values[part], fit.std[part], _rms(torque), unit, tuple(alike), equal, impossible,
-                  problem.fall(effects, effect, fit) if named else None)
+                  problem.stated(effects, effect, fit) if named else None)
         )  # fmt: skip
     return shares
 

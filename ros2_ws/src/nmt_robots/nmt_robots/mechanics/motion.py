@@ -12,6 +12,7 @@ from functools import cache
 import numpy as np
 from scipy.ndimage import convolve1d, maximum_filter1d
 
+from nmt_core.numerics.kernels import njit
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.thresholds import THRESHOLDS
@@ -32,6 +33,7 @@ class Motion:
         q, v, a: N × J, smoothed once; differences of the position.
         rigid: N × J, N·m: torque of the rigid bodies at that motion, smoothed once more.
         gravity: N × J, N·m: the same at rest.
+        position: N × J, as it was logged, for what depends on the path through reversals that smoothing rounds.
         moving: N × J; rows in which a joint is fast enough not to stick.
         blocks: N; number of the second that a row belongs to.
         of_links: for each joint N × J, N·m: torque that the mass of its link takes, smoothed as ``rigid``.
@@ -44,6 +46,7 @@ class Motion:
     a: Array
     rigid: Array
     gravity: Array
+    position: Array
     moving: Array
     blocks: Array
     of_links: tuple[Array, ...] = ()
@@ -70,6 +73,18 @@ def smoothed(values: Array, window: int) -> Array:
     result[:half] = np.tensordot(ends, values[:window], 1)
     result[-half:] = np.tensordot(ends[::-1, ::-1], values[-window:], 1)
     return result
+
+
+@njit(cache=True)
+def built_up(position: Array, reach: float) -> Array:
+    """Rows × J: friction of size one that builds up over an angle, whichever way a joint turns (Prandtl's element)."""
+    found = np.zeros_like(position)
+    for joint in range(position.shape[1]):
+        held = 0.0
+        for row in range(1, len(position)):
+            held = min(max(held + (position[row, joint] - position[row - 1, joint]) / reach, -1.0), 1.0)
+            found[row, joint] = held
+    return found
 
 
 @cache
@@ -105,7 +120,7 @@ def motion_of(model: RobotModel, log: JointLog) -> Motion:
     moving[len(moving) - edge :] = False
     return Motion(
         step, window, q, v, a, smoothed(model.torque(log.joints, q, v, a), window),
-        smoothed(model.torque(log.joints, q, still, still), window), moving,
+        smoothed(model.torque(log.joints, q, still, still), window), log.position, moving,
         np.floor(np.arange(len(q)) * step).astype(int),
     )  # fmt: skip
 

@@ -265,7 +265,7 @@ _OF_INERTIA = frozenset({"armature", "inertia_scale"})
 _WITH_A_MEAN = frozenset({"spring", "gravity_scale", "mass_centre", "link_mass", "ripple", "end_stop"})
 """Effects whose own mean an offset takes."""
 _FRICTION = frozenset(
-    {"coulomb", "viscous", "stribeck", "changing_friction", "load_friction", "spring", "ripple", "end_stop"}
+    {"coulomb", "viscous", "creep", "stribeck", "changing_friction", "load_friction", "spring", "ripple", "end_stop"}
 )
 """Effects that the motion of other joints does not make."""
 _OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
@@ -325,13 +325,14 @@ def joint_verdict(
             and not share.effect.made_of_torque
         )
         words = share.effect.words + (f", {share.effect.shape}" if share.effect.shape else "")
-        size = share.size
-        if share.fall is not None:
-            # A coefficient at no speed lies outside the speeds of the log.
-            std = float(np.hypot(share.fall.std, abs(share.fall.size) * std / max(abs(size), 1e-300)))
-            words, size = share.fall.words, share.fall.size
+        size, unit = share.size, share.effect.unit
+        if share.stated is not None:
+            # A coefficient at no speed lies outside the speeds of the log; an angle does not grow with it.
+            relative = 0.0 if share.effect.reach else std / max(abs(size), 1e-300)
+            std = float(np.hypot(share.stated.std, abs(share.stated.size) * relative))
+            words, size, unit = share.stated.words, share.stated.size, share.stated.unit
         terms.append(
-            Term(key, words, share.effect.unit, size, std, reference, part, differs, share.alike,
+            Term(key, words, unit, size, std, reference, part, differs, share.alike,
                  share.equal, share.impossible, best.choice.probability.get(key, 0.0))
         )  # fmt: skip
     # An offset is what other terms leave of their mean: it stands behind them.

@@ -18,7 +18,7 @@ from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.columns import Effect, State
 from nmt_robots.mechanics.ladder import first_of_last_part
-from nmt_robots.mechanics.motion import Motion
+from nmt_robots.mechanics.motion import Motion, built_up
 from nmt_robots.mechanics.readings import DriveTorque, Reading
 from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import Joint, RobotModel
@@ -269,6 +269,11 @@ class Simulated:
         self._coulomb, self._loose = coulomb, [int(number) for number in np.flatnonzero(loose)]
         self._of_bodies = any(joint.has("gravity_scale", "inertia_scale") for joint in joints)
         self._angle, self._speed = np.zeros(len(joints)), np.zeros(len(joints))
+        self._reach = np.array([max((effect.reach for effect, _ in joint.further), default=0.0) for joint in joints])
+        self._built = np.zeros_like(motion.position)
+        for number in np.flatnonzero(self._reach):
+            self._built[:, [number]] = built_up(motion.position[:, [number]], self._reach[number])
+        self._held, self._before = np.zeros(len(joints)), np.zeros(len(joints))
 
     def positions(self, first: int) -> Array:
         """Angles of the encoders from a row on, rows × J, rad; NaN once the motion has run away."""
@@ -303,6 +308,7 @@ class Simulated:
         """Start from the measured motion; a link behind its transmission lies where it carries the bodies."""
         q, v = self._motion.q[row].copy(), self._motion.v[row].copy()
         self._angle, self._speed = q.copy(), v.copy()
+        self._held, self._before = self._built[row].copy(), q.copy()
         for number in self._loose:
             found = self._joints[number].transmission
             assert found is not None
@@ -323,9 +329,15 @@ class Simulated:
         if self._of_bodies:
             gravity, inertial = self._simulation.body_torques()
         acceleration = self._simulation.acceleration
+        turned = (q - self._before) / np.where(self._reach > 0.0, self._reach, np.inf)
+        self._held, self._before = np.clip(self._held + turned, -1.0, 1.0), q.copy()
         for number, joint in enumerate(self._joints):
             for effect, values in sorted(joint.further, key=lambda item: not item[0].made_of_torque):
                 assert effect.law is not None
+                if effect.reach:
+                    dry[number] -= values[0]
+                    torque[number] -= values[0] * self._held[number]
+                    continue
                 # Friction is asked for at its size: its sign is that of the motion which it ends.
                 speed = abs(v[number]) + 1e-9 if effect.key in _DRY else v[number]
                 state = State(

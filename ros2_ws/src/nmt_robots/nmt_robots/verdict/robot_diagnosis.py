@@ -272,7 +272,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     bodies = None if no_claims_because(found) else body_finding(robot, log, drive.torque(scores.best), joints)
     changed = robot
     if bodies is not None and bodies.claimed:
-        changed, log = bodies.robot, without_factor(log, bodies.factor)
+        changed, log = bodies.within, without_factor(log, bodies.factor)
         drive, motion = DriveTorque(log), with_bodies(changed, log, motion)
         scores = compare_readings(motion, drive, derived)
     if robot.floating:

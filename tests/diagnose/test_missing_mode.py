@@ -144,38 +144,33 @@ def test_a_damping_that_noise_turned_is_the_least():
     assert {start["zeta"] for start in site.begun} == {1e-4}
 
 
+LINES_HZ = np.linspace(20.0, 80.0, 300)
+
+
+def term(hertz: float) -> np.ndarray:
+    """Response of one mode at the lines."""
+    s, pole = 2j * np.pi * LINES_HZ, 2.0 * np.pi * hertz * (1j - 0.01)
+    return np.asarray(2.0 * hertz / (s**2 - 2.0 * pole.real * s + abs(pole) ** 2))
+
+
 def test_a_small_mass_on_a_spring_is_a_resonance():
     """A third of each response at its frequency: less than a mode of the model has, and there all the same."""
-    hz = np.linspace(20.0, 80.0, 300)
-    s = 2j * np.pi * hz
-
-    def term(hertz: float) -> np.ndarray:
-        pole = 2.0 * np.pi * hertz * (1j - 0.01)
-        return np.asarray(2.0 * hertz / (s**2 - 2.0 * pole.real * s + abs(pole) ** 2))
-
     strong = [term(30.0) + sign * term(70.0) for sign in (1.0, -1.0)]
-    middle = np.argmin(np.abs(hz - 48.0))
+    middle = np.argmin(np.abs(LINES_HZ - 48.0))
     responses = np.array([two + 0.4j * two[middle] / term(48.0)[middle] * term(48.0) for two in strong])
-    assert measured_modes(hz, responses, 2).poles.size == 2
-    found = measured_modes(hz, responses, 2, local=True)
+    assert measured_modes(LINES_HZ, responses, 2).poles.size == 2
+    found = measured_modes(LINES_HZ, responses, 2, local=True)
     np.testing.assert_allclose(found.frequencies_hz, [30.0, 48.0, 70.0], rtol=1e-2)
 
 
 def test_a_mode_of_two_channels_is_local_and_one_of_a_single_channel_is_noise():
     """Of six channels; the others do not know it."""
-    hz = np.linspace(20.0, 80.0, 300)
-    s = 2j * np.pi * hz
-
-    def term(hertz: float) -> np.ndarray:
-        pole = 2.0 * np.pi * hertz * (1j - 0.01)
-        return np.asarray(2.0 * hertz / (s**2 - 2.0 * pole.real * s + abs(pole) ** 2))
-
     plain = [term(30.0) + sign * term(70.0) for sign in (1.0, -1.0, 1.0, -1.0, 1.0, -1.0)]
     for channels, hertz in ((2, [30.0, 48.0, 70.0]), (1, [30.0, 70.0])):
         responses = np.array([two + (0.3 * term(48.0) if k < channels else 0.0) for k, two in enumerate(plain)])
-        found = measured_modes(hz, responses, 2, local=True)
+        found = measured_modes(LINES_HZ, responses, 2, local=True)
         np.testing.assert_allclose(found.frequencies_hz, hertz, rtol=1e-2)
-        assert measured_modes(hz, responses, 2).poles.size == 2
+        assert measured_modes(LINES_HZ, responses, 2).poles.size == 2
 
 
 def test_the_nearest_places_are_fitted(monkeypatch: pytest.MonkeyPatch):

@@ -167,6 +167,16 @@ def off(parameter: dict[str, float], truth: float) -> float:
     return abs(parameter["value"] - truth) / parameter["std"]
 
 
+def assert_named(found: dict[str, Any], effect: str, **parameter: float) -> None:
+    """An effect with a parameter within three of its standard uncertainties, which closes nine tenths of the gap."""
+    ((key, value),) = parameter.items()
+    first = found["ranking"][0]
+    assert found["verdict"] == "effect"
+    assert first["effect"] == effect
+    assert off(first["parameters"][key], value) < 3.0
+    assert found["gap"]["closed"] > 0.9
+
+
 def expect_gap(found: dict[str, Any], stiffness: float, gap: float) -> None:
     """A two-sided gap is named first, with the truth inside, and explains nearly all."""
     first = found["ranking"][0]
@@ -211,11 +221,7 @@ def test_a_clamped_beam_is_cubic_beside_its_second_mode_and_a_weak_even_force(tm
         (132.4, 364.0), (0.004, 0.003), (1.0, -0.6), cubic=cubic, quadratic=0.1 * omega**2 / 0.5e-3
     )  # fmt: skip
     found = diagnosed(tmp_path, structure, (131.0, 0.0035), (3e-3, 0.01, 0.08), np.geomspace(0.05, 4.0, 14), 1)
-    first = found["ranking"][0]
-    assert found["verdict"] == "effect"
-    assert first["effect"] == "cubic_stiffness"
-    assert off(first["parameters"]["k"], cubic) < 3.0
-    assert found["gap"]["closed"] > 0.9
+    assert_named(found, "cubic_stiffness", k=cubic)
 
 
 def test_a_linear_beam_with_scatter_has_no_effect(tmp_path: Path) -> None:
@@ -232,21 +238,13 @@ def test_a_decay_of_a_clamped_beam_is_cubic(tmp_path: Path) -> None:
         (133.1, 364.0), (0.0035, 0.003), (1.0, -0.6), cubic=cubic, quadratic=0.05 * omega**2 / 0.6e-3
     )  # fmt: skip
     found = of_decay(tmp_path, structure, (131.5, 0.003), 3.0, 1.5, 5120.0, 1)
-    first = found["ranking"][0]
-    assert found["verdict"] == "effect"
-    assert first["effect"] == "cubic_stiffness"
-    assert off(first["parameters"]["k"], cubic) < 3.0
-    assert found["gap"]["closed"] > 0.9
+    assert_named(found, "cubic_stiffness", k=cubic)
 
 
 @pytest.mark.campaign
 def test_a_decay_with_damping_that_grows_with_amplitude_is_named(tmp_path: Path) -> None:
     found = of_decay(tmp_path, Structure((97.0,), (0.003,), square_damping=2e7), (96.2, 0.0035), 4.0, 3.0, 2048.0, 4)
-    first = found["ranking"][0]
-    assert found["verdict"] == "effect"
-    assert first["effect"] == "amplitude_damping"
-    assert off(first["parameters"]["c"], 2e7) < 3.0
-    assert found["gap"]["closed"] > 0.9
+    assert_named(found, "amplitude_damping", c=2e7)
 
 
 @pytest.mark.campaign
@@ -254,11 +252,7 @@ def test_a_fast_decay_is_looked_at_over_all_its_amplitudes(tmp_path: Path) -> No
     """A narrow band would make one segment of its ninety periods, more certain than any of many."""
     structure = Structure((192.3, 770.9), (0.0089, 0.0089), (1.0, -0.03), square_damping=3.5e8)
     found = of_decay(tmp_path, structure, (192.2, 0.0082), 62.0, 0.465, 7693.0, 5)
-    first = found["ranking"][0]
-    assert found["verdict"] == "effect"
-    assert first["effect"] == "amplitude_damping"
-    assert off(first["parameters"]["c"], 3.5e8) < 3.0
-    assert found["gap"]["closed"] > 0.9
+    assert_named(found, "amplitude_damping", c=3.5e8)
 
 
 @pytest.mark.campaign
@@ -308,11 +302,7 @@ def test_responses_whose_scatter_moves_the_resonance_by_its_width_tell_a_cubic_s
     cubic = -0.27 * (2.0 * np.pi * 52.36) ** 2 / 0.8e-3**2
     structure = Structure((52.36,), (0.0024,), cubic=cubic)
     found = of_responses(tmp_path, structure, (52.3, 0.0025), (0.02, 0.1, 0.38), np.linspace(49.5, 53.3, 77), 8)
-    first = found["ranking"][0]
-    assert found["verdict"] == "effect"
-    assert first["effect"] == "cubic_stiffness"
-    assert off(first["parameters"]["k"], cubic) < 3.0
-    assert found["gap"]["closed"] > 0.9
+    assert_named(found, "cubic_stiffness", k=cubic)
 
 
 @pytest.mark.campaign

@@ -21,6 +21,7 @@ from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.joint_verdict import by_shared_delay, values_in_model
+from nmt_robots.verdict.other_logs import diagnose_robot_by_logs
 from nmt_robots.verdict.robot_diagnosis import diagnose_robot, read_log
 
 IN_MODEL = {"coulomb": 0.5, "viscous": 0.2, "armature": 0.03}
@@ -217,6 +218,14 @@ def test_friction_that_builds_up_over_an_angle_is_told_with_it(tmp_path: Path, r
     share = joint.mechanics.share("creep")
     assert share is not None
     assert share.size == pytest.approx(0.5, rel=0.05)
+
+
+def test_a_replay_has_the_state_of_friction_that_builds_up(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.0, more=bristle(1.5, 0.004)))
+    diagnosis = diagnose_robot_by_logs(robot_file(tmp_path, coulomb=1.5), [tmp_path / "log.npz"])
+    assert diagnosis.replay is not None
+    (joint,) = diagnosis.replay.joints
+    assert joint.after < 0.2 * joint.before
 
 
 def test_a_joint_that_sticks_does_not_creep(tmp_path: Path) -> None:

@@ -91,20 +91,14 @@ def refused(score: float, pull: float, above: float = 0.9) -> bool:
 
 
 def has_second(first: float, second: float, without: float = 10.0) -> bool:
-    fit = SimpleNamespace(
-        coefficients=np.array([1.0, 1.0]), nuisance=np.zeros(0), names=(), covariance=1e-4 * np.eye(2)
-    )
-    block = SimpleNamespace(terms=(1,))
+    fit = SimpleNamespace(nuisance=np.zeros(0), names=())
     pair = law(second, 2, fit=fit)
-    null = SimpleNamespace(score=without)
-    search: Any = SimpleNamespace(
-        seconds=lambda _: [pair], firsts=lambda _: [], fewer=lambda _: [], again=lambda one: one, null=null
-    )
-    return reading._with_second(search, law(first, fit=fit, parts=[(None, block)])) is pair
+    search: Any = SimpleNamespace(found=lambda _: [pair], null=SimpleNamespace(score=without))
+    return reading._with_second(search, law(first, fit=fit)) is pair
 
 
 def is_looked_for(score: float) -> bool:
-    search: Any = SimpleNamespace(null=SimpleNamespace(score=score), singles=lambda: [])
+    search: Any = SimpleNamespace(null=SimpleNamespace(score=score), found=lambda: [])
     levels: Any = SimpleNamespace(name="levels", count=5)
     return "noise" not in reading._read(search, levels).refusals[0]
 
@@ -149,18 +143,10 @@ def test_a_second_law_is_looked_for_where_the_first_needs_a_pull() -> None:
     """It is taken where it takes the pull off, however little the score falls."""
 
     def chosen(pulls: tuple[float, float], score: float) -> bool:
-        common = {"coefficients": np.array([1.0, 1.0]), "names": ("gain",), "covariance": 1e-4 * np.eye(3)}
-        fits = [SimpleNamespace(nuisance=np.array([pull]), **common) for pull in pulls]
+        fits = [SimpleNamespace(nuisance=np.array([pull]), names=("gain",)) for pull in pulls]
         pair = law(score, 2, fit=fits[1])
-        search: Any = SimpleNamespace(
-            seconds=lambda _: [pair],
-            firsts=lambda _: [],
-            fewer=lambda _: [],
-            again=lambda one: one,
-            null=SimpleNamespace(score=10.0),
-        )
-        parts = [(None, SimpleNamespace(terms=(1,)))]
-        return reading._with_second(search, law(0.4, fit=fits[0], parts=parts)) is pair
+        search: Any = SimpleNamespace(found=lambda _: [pair], null=SimpleNamespace(score=10.0))
+        return reading._with_second(search, law(0.4, fit=fits[0])) is pair
 
     assert [chosen((pull, 0.0), 0.39) for pull in (2.9, 3.1)] == [False, True]
     assert [chosen((3.5, pull), 0.39) for pull in (2.9, 3.1)] == [True, False]

@@ -21,13 +21,13 @@ from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.calibration import calibration_parameters
 from nmt_diagnose.effects.library import library
-from nmt_diagnose.law.law_blocks import Block
+from nmt_diagnose.law.law_blocks import Along, Block, BlockColumns
 from nmt_diagnose.law.law_elements import with_law
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.law.record_check import autocorrelation
 from nmt_diagnose.law.record_law import parting_motion, read_record_law
-from nmt_diagnose.law.record_search import BlockColumns, RecordSearch
+from nmt_diagnose.law.record_search import RecordSearch
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.observations.read_observations import read_observations
@@ -315,10 +315,10 @@ def test_no_damper_is_asked_with_an_exponent_below_one(tmp_path: Path) -> None:
     bag = bag_of(tmp_path, RATE, {"displacement 1": X, "force 1": V}, record(TIME.size, held="response"), TEXT)
     records = MovedRecords.of(rig, read_observations([bag], rig))
     assert records is not None
-    rows = np.arange(records.missing.size)
+    along = Along(lambda terms: records.columns(terms).reshape(-1, len(terms)))
     for exponent in np.linspace(1.06, 1.6, 40):
         block = Block("drag", (Term("speed", float(exponent)),), (1,))
-        fitted = BlockColumns.of(records, rows, "drag", block, (0.0, 0.4), asked=False)
+        fitted = BlockColumns.of("", "drag", along, block, (0.0, 0.4), asked=False)
         assert {other.block.terms[0].first for other in fitted.shorter(np.ones(1))} <= {1.5}
 
 

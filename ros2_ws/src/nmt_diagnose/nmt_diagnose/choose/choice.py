@@ -82,6 +82,7 @@ class Chosen:
         judged: all sets that were compared, best first.
         instead: keys of causes in whose place the first does no better by more than what was asked.
         columns: by number; the library, and what was made of it.
+        independent: number of independent rows.
     """
 
     causes: tuple[Columns, ...]
@@ -89,6 +90,7 @@ class Chosen:
     judged: tuple[Judged, ...]
     instead: tuple[tuple[str, str], ...]
     columns: tuple[Columns, ...]
+    independent: float
 
     @property
     def score(self) -> float:
@@ -118,13 +120,19 @@ class Choice:
         sets = _Sets(self._space, columns)
         return sets.gains(sets.judged(()), sets.stacked(range(len(columns))))[0]
 
-    def moved(self, causes: Sequence[Columns]) -> list[Columns]:
-        """A set of causes with the numbers in their columns moved to where the fit is best."""
-        sets = _Sets(self._space, causes)
-        item = sets.judged(tuple(range(len(causes))))
-        for number in item.numbers:
-            item = sets.moved(item, number, _FINE)
-        return [sets.columns[number] for number in item.numbers]
+    def fitted(self, causes: Sequence[Sequence[Columns]]) -> Chosen:
+        """A set of causes, each in the best of its variants, with the numbers in their columns moved to where the fit
+        is best."""
+        sets = _Sets(self._space, [column for variants in causes for column in variants])
+        starts = np.cumsum([0, *map(len, causes)]).tolist()
+        best = sets.judged(tuple(starts[:-1]))
+        for begin, end in pairwise(starts):
+            others = [number for number in best.numbers if not begin <= number < end]
+            every = (sets.judged(tuple(sorted([*others, number])), best.variance) for number in range(begin, end))
+            best = min(every, key=lambda item: item.unfloored)
+        for number in best.numbers:
+            best = sets.moved(best, number, _FINE)
+        return sets.chosen(best, best.numbers)
 
     def grow(self, library: Sequence[Columns], most: int, alike: float = 0.0) -> Chosen:
         """The best set of at most so many columns.
@@ -155,8 +163,7 @@ class Choice:
             best = sets.moved(best, number, _FINE)
         order = sets.by_need(best)
         instead = sets.in_place_of(best, order[0], alike) if order and alike > 0.0 else ()
-        columns = tuple(sets.columns)
-        return Chosen(tuple(columns[number] for number in order), best, tuple(sets.every()), instead, columns)
+        return sets.chosen(best, order, instead)
 
 
 def _order(item: Judged) -> tuple[float, tuple[int, ...]]:
@@ -298,9 +305,11 @@ class _Sets:
         parts = [np.ones(c.values.shape[1], bool) if c.signed is None else c.signed for c in each]
         return np.concatenate([np.zeros(0, bool), *parts])
 
-    def every(self) -> list[Judged]:
-        """All sets that were judged and are possible, best first."""
-        return sorted((item for item in self._memory.values() if np.isfinite(item.score)), key=_order)
+    def chosen(self, best: Judged, order: Sequence[int], instead: tuple[tuple[str, str], ...] = ()) -> Chosen:
+        """A set with all that were judged and are possible, best first."""
+        every = sorted((item for item in self._memory.values() if np.isfinite(item.score)), key=_order)
+        causes = tuple(self.columns[number] for number in order)
+        return Chosen(causes, best, tuple(every), instead, tuple(self.columns), self._independent)
 
     def may_grow(self, best: Judged) -> bool:
         """Whether one cause more may pay for a good part of itself, or leave more than a bound."""

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
-from nmt_core.numerics.arrays import FloatArray
+from nmt_core.numerics.arrays import BoolArray, FloatArray
+from nmt_diagnose.choose.space import Columns
 from nmt_diagnose.law.terms import OF_RECORDS, Term
+from nmt_diagnose.measurements.imposed_motion import POSITION
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.element_uses import LawForm
 from nmt_rig.model.local_elements import SECTIONS
+from nmt_rig.model.local_elements.element import MAGNITUDE_OF
 
 _SLACK_SHARES = (0.2, 0.4, 0.6, 0.8)  # of the slip displacement
 _WAVES = (1.5, 40.0, 0.2)  # of cogging along the way from end to end: fewest, most, step
+_BELOW = 0.1  # of a strength that it may be below zero at the end of the range
+_LEAST_EXPONENT = 1.05  # of a damper: 1 is viscous, and elements have no less
 _CLOSED = (0.01, 0.8)  # of the samples of a record: least and largest share along which a contact is closed
 
 
@@ -154,3 +162,144 @@ def moved(block: Block, number: int, factor: float) -> Block:
     first, second = (factor, 1.0) if number == 1 else (1.0, factor)
     terms = tuple(replace(t, first=first * t.first, second=second * t.second) for t in block.terms)
     return replace(block, terms=terms)
+
+
+@dataclass(frozen=True, eq=False)
+class Along:
+    """A motion along which blocks act.
+
+    Attributes:
+        columns: what a unit of each term adds to the rows, N × k.
+        channels: that were measured.
+        range_of: smallest and largest value of a channel.
+        of_law: whether it is the motion that a law makes; along another one nothing tells which of its terms act.
+    """
+
+    columns: Callable[[Sequence[Term]], FloatArray]
+    channels: Sequence[str] = ()
+    range_of: Callable[[str], tuple[float, float]] = field(default=lambda _: (0.0, 0.0))
+    of_law: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class BlockColumns(Columns):
+    """A block of terms along a motion.
+
+    Attributes:
+        along: the motion.
+        block: the terms.
+        reach: logarithms of the factors by which its parameters are moved at most.
+        asked: whether its exponent is one that was asked, which is likelier than others.
+    """
+
+    along: Along = field(kw_only=True, repr=False)
+    block: Block = field(kw_only=True)
+    reach: tuple[float, float] = field(kw_only=True)
+    asked: bool = field(kw_only=True)
+
+    @classmethod
+    def of(
+        cls, place: str, name: str, along: Along, block: Block, reach: tuple[float, float], asked: bool = True
+    ) -> BlockColumns:
+        """The columns of a block at a place, by the name of its family."""
+        freed = 0 if asked and _has_exponent(block) else len(block.refined)
+        return cls(
+            place, name, along.columns(block.terms), signed=signed([block]), freed=freed, causes=2 if block.by else 1,
+            along=along, block=block, reach=reach, asked=asked,
+        )  # fmt: skip
+
+    @classmethod
+    def every(cls, along: Along, families: Mapping[str, Sequence[Block]], place: str = "") -> list[BlockColumns]:
+        """The columns of all blocks of families."""
+        found = []
+        for name, members in families.items():
+            for number, block in enumerate(members):
+                near = members[max(number - 1, 0)], members[min(number + 1, len(members) - 1)]
+                found.append(cls.of(place, name, along, block, _reach(block, *near)))
+        return found
+
+    @cached_property
+    def same(self) -> tuple[str, str, Block]:
+        """See :attr:`Columns.same`."""
+        return self.place, self.term, self.block
+
+    def _of(self, block: Block) -> BlockColumns:
+        return BlockColumns.of(self.place, self.term, self.along, block, self.reach, self.asked)
+
+    @cached_property
+    def reaches(self) -> Sequence[tuple[float, float]]:
+        """See :attr:`Columns.reaches`; a contact without a clearance has none."""
+        if not self.block.terms[0].first > 0.0 and 1 in self.block.refined:
+            return ()
+        return [self.reach] * len(self.block.refined)
+
+    def moved(self, number: int, log_factor: float) -> BlockColumns:
+        """See :meth:`Columns.moved`; what is bounded stays there."""
+        low, high = self.reach
+        bounded = self.block.bounded or _has_exponent(self.block)
+        reach = (low - log_factor, high - log_factor) if bounded else self.reach
+        block = moved(self.block, self.block.refined[number], math.exp(log_factor))
+        return BlockColumns.of(self.place, self.term, self.along, block, reach, False)
+
+    def allows(self, coefficients: FloatArray) -> bool:
+        """Whether the block has a force, contacts their spring, and stays passive along a channel that it follows."""
+        block, strengths = self.block, dict(zip(self.block.terms, coefficients.tolist(), strict=True))
+        if not (strengths[block.terms[0]] if block.contact else np.any(coefficients)):
+            return False
+        if not block.by:
+            return True
+        low, high = self.along.range_of(block.by)
+        return all(
+            abs(strengths.get(replace(term, by="", about=0.0), 0.0)) * (1.0 + _BELOW) >= abs(value) * 0.5 * (high - low)
+            for term, value in strengths.items()
+            if term.by and not term.form.signed
+        )
+
+    def shorter(self, coefficients: FloatArray) -> list[BlockColumns]:
+        """The block with the terms that act, and these without one of them; with an exponent that is not fitted."""
+        if not self.along.of_law:
+            return []
+        terms = [term for term, value in zip(self.block.terms, coefficients, strict=True) if value != 0.0]
+        some = [terms] if len(terms) < len(self.block.terms) else []
+        for term in terms if len(terms) > 1 else ():
+            if term.by or not any(other.by and replace(other, by="", about=0.0) == term for other in terms):
+                some.append([other for other in terms if other != term])
+        found = [self._of(replace(self.block, terms=tuple(kept))) for kept in some]
+        exponent = round(2.0 * self.block.terms[0].first) / 2.0
+        if _has_exponent(self.block) and not self.asked and exponent > _LEAST_EXPONENT:
+            block = replace(self.block, terms=tuple(replace(term, first=exponent) for term in self.block.terms))
+            reach = _reach(block, block, block)
+            found.append(BlockColumns.of(self.place, self.term, self.along, block, reach))
+        return found
+
+    def following(self) -> list[BlockColumns]:
+        """The block with coefficients that change with one of the measured channels."""
+        found, block = [], self.block
+        for channel in self.along.channels:
+            low, high = self.along.range_of(channel)
+            plain = channel.removeprefix(MAGNITUDE_OF)
+            if block.by or block.contact or not high > low or (plain == POSITION and block.terms[0].signed):
+                continue
+            ends = self.along.range_of(plain)
+            # Where a channel is of one sign its magnitude says the same.
+            if plain == channel or ends[0] * ends[1] < 0.0:
+                found.append(self._of(block.following(channel, 0.5 * (low + high))))
+        return found
+
+
+def _has_exponent(block: Block) -> bool:
+    return "{power}" in block.terms[0].form.formula
+
+
+def _reach(block: Block, below: Block, above: Block) -> tuple[float, float]:
+    """Logarithms of the factors by which a block is moved: what is bounded stays between its neighbours."""
+    size = block.terms[0].first
+    if not block.bounded or not size > 0.0:
+        return (math.log(_LEAST_EXPONENT / size) if _has_exponent(block) else -block.reach), block.reach
+    ends = sorted((below.terms[0].first, above.terms[0].first))
+    return math.log(max(ends[0] / size, 0.5)), math.log(ends[1] / size)
+
+
+def signed(blocks: Sequence[Block]) -> BoolArray:
+    """Coefficients of blocks that may have either sign, (k,)."""
+    return np.array([term.signed for block in blocks for term in block.terms], bool)

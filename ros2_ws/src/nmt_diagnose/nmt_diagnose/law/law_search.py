@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
+from nmt_diagnose.choose.choice import Choice, Chosen
+from nmt_diagnose.choose.space import Space
 from nmt_diagnose.law.convex import ConvexFit, Solution
-from nmt_diagnose.law.law_blocks import Block, blocks, moved
+from nmt_diagnose.law.law_blocks import Along, Block, BlockColumns, blocks, signed
 from nmt_diagnose.law.law_rows import LawRows
 from nmt_diagnose.law.modal_frame import KnownForces
 from nmt_diagnose.law.nuisance import MOTION_ROUNDS, known_motion, nuisance_columns
@@ -19,6 +21,8 @@ from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import ChainSection, Rig
 
 Forces = list[tuple[FloatArray, ComplexArray]]
+_FINALISTS = 10
+"""Laws that are read again along the motion that they make."""
 _LEAST_STIFFNESS = 0.3
 """Smallest stiffness of a place with its law over that without it, for the step of its mean displacement."""
 
@@ -31,6 +35,14 @@ class LawPlace:
     other_point: int
     participation: FloatArray = field(repr=False, compare=False)
 
+    @property
+    def name(self) -> str:
+        """For people: a point, or two."""
+        return f"{self.point}-{self.other_point}" if self.other_point else f"{self.point}"
+
+
+Parts = tuple[tuple[LawPlace, Block], ...]
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -42,7 +54,7 @@ class Candidate:
         motions: of each place, m, (L, ORDERS + 1).
     """
 
-    parts: tuple[tuple[LawPlace, Block], ...]
+    parts: Parts
     fit: Solution = field(repr=False)
     motions: tuple[ComplexArray, ...] = field(repr=False)
 
@@ -80,6 +92,7 @@ class LawSearch:
         elements = rows.frame.elements
         self.known = KnownForces(elements, rows.frame) if elements else None
         self.inner = list(range(1, rows.levels.count - 1))
+        self.independent = np.nan
         self.basis = self.problem([])
         self.null = self.basis.solve(np.zeros((*self.basis.target.shape, 0)), np.zeros(0, bool))
 
@@ -102,6 +115,7 @@ class LawSearch:
             raise UnboundedMotionError
         return ConvexFit(self.rows.whitened(missing), white, self.inner, names)
 
+    @cached_property
     def places(self) -> list[LawPlace]:
         """Points that move, and neighbours of a chain."""
         frame = self.rows.frame
@@ -124,49 +138,66 @@ class LawSearch:
         rows = self.rows.whitened(self.rows.of_force(place.participation, made))
         return np.moveaxis(rows, 0, -1)
 
-    def singles(self) -> list[Candidate]:
-        """The best block of each family at each place along the motion without it, the best first."""
-        forces = self._known([])
-        found = []
-        for place in self.places():
-            motion = self.rows.motion(place.participation, forces)
-            found += self._at(place, motion, self.basis, None)
-        return sorted(found, key=lambda candidate: candidate.score)
+    def found(self, first: Candidate | None = None) -> list[Candidate]:
+        """Laws, one or a first one with another, each along the motion that it makes; by score."""
+        forces, motions = self.forces(first) if first else [], {}
+        for place in self.places:
+            motions[place] = self.motion(place, forces)
+        if first is not None:
+            motions |= {place: motion for (place, _), motion in zip(first.parts, first.motions, strict=True)}
+        variants: dict[tuple[str, str], list[BlockColumns]] = {}
+        for place, motion in motions.items():
+            families = blocks(*sampled(motion, self.rows.levels.omega))
+            for column in BlockColumns.every(self._along(place, motion), families, place.name):
+                variants.setdefault(column.key, []).append(column)
+        problem, count = self.problem(forces), 1 if first is None else 2
+        space = self._space(problem, np.nan)
+        chosen = Choice(space).grow([column for some in variants.values() for column in some], count)
+        self.independent = chosen.independent
+        sets = (tuple(chosen.columns[number].key for number in item.numbers) for item in chosen.judged)
+        finalists = []
+        for keys in list(dict.fromkeys(keys for keys in sets if len(keys) == count))[:_FINALISTS]:
+            # A set is grown by one variant of each cause.
+            parts = self._parts(Choice(space).fitted([variants[key] for key in keys]))
+            law = self._candidate(parts, tuple(motions[place] for place, _ in parts), problem)
+            finalists.append(self.again(law))
+        return sorted((law for law in finalists if law.elements), key=lambda law: law.score)
 
-    def _at(
-        self, place: LawPlace, motion: ComplexArray, problem: ConvexFit, first: Candidate | None
-    ) -> list[Candidate]:
-        """The best block of each family at a place, added to a first law where there is one."""
+    def _space(self, problem: ConvexFit, independent: float) -> Space:
+        """Rows of the levels about the model, other forces taken off.
+
+        Standard deviations bound errors that are smooth over the levels: a model without a missing law leaves a part.
+        """
+        count, size = problem.target.shape
+        numbers = np.arange(count * size).reshape(count, size)
+        return Space(
+            problem.target.ravel(), problem.nuisance.reshape(count * size, -1), np.repeat(np.arange(count), size),
+            independent, THRESHOLDS.law.second_from_score, ends=(0, count - 1), series=list(numbers.T), bound=True,
+        )  # fmt: skip
+
+    def _along(self, place: LawPlace, motion: ComplexArray) -> Along:
         x, v = sampled(motion, self.rows.levels.omega)
-        before = self.law_columns(first) if first is not None else None
-        parts = first.parts if first is not None else ()
-        motions = first.motions if first is not None else ()
-        signs = [t.signed for _, block in parts for t in block.terms]
-        found = []
-        for family in blocks(x, v).values():
-            if any(where == place and block.name == family[0].name for where, block in parts):
-                continue
+        return Along(lambda terms: self.columns(place, terms, x, v).reshape(-1, len(terms)), of_law=False)
 
-            def beside(block: Block) -> tuple[FloatArray, BoolArray]:
-                columns = self.columns(place, block.terms, x, v)
-                if before is not None:
-                    columns = np.concatenate([before, columns], axis=2)
-                return columns, np.array([*signs, *(t.signed for t in block.terms)])
+    def _column(self, place: LawPlace, block: Block, motion: ComplexArray) -> BlockColumns:
+        return BlockColumns.of(place.name, block.name, self._along(place, motion), block, (-block.reach, block.reach))
 
-            best = family[0]
-            if len(family) > 1:
-                costs = [problem.cost(*beside(block)) for block in family]
-                best = family[int(np.argmin(costs))]
-                if best.contact:
-                    best = between(family, int(np.argmin(costs)), lambda block: problem.cost(*beside(block)))
-            fit = problem.solve(*beside(best))
-            if np.any(fit.coefficients[len(signs) :]):
-                found.append(Candidate((*parts, (place, best)), fit, (*motions, motion)))
-        return found
+    def _parts(self, chosen: Chosen) -> Parts:
+        named = {place.name: place for place in self.places}
+        return tuple((named[one.place], one.block) for one in chosen.causes if isinstance(one, BlockColumns))
 
-    def law_columns(self, candidate: Candidate) -> FloatArray:
-        """Whitened columns (L, M, k) of all terms of a law along the motion of its places."""
-        return self._along(candidate.parts, candidate.motions)[0]
+    def _candidate(self, parts: Parts, motions: tuple[ComplexArray, ...], problem: ConvexFit) -> Candidate:
+        """A law along motions of its places with its fit."""
+        columns = self.law_columns(parts, motions)
+        return Candidate(parts, problem.solve(columns, signed([block for _, block in parts])), motions)
+
+    def law_columns(self, parts: Parts, motions: tuple[ComplexArray, ...]) -> FloatArray:
+        """Whitened columns (L, M, k) of all terms of parts along motions of their places."""
+        each = [
+            self.columns(place, block.terms, *sampled(motion, self.rows.levels.omega))
+            for (place, block), motion in zip(parts, motions, strict=True)
+        ]
+        return np.concatenate(each, axis=2)
 
     def forces(self, candidate: Candidate) -> Forces:
         """Forces of a law along the motion of its places."""
@@ -179,7 +210,7 @@ class LawSearch:
             result.append((place.participation, harmonics(total)))
         return result
 
-    def again(self, candidate: Candidate) -> Candidate:
+    def again(self, candidate: Candidate, refined: bool = True) -> Candidate:
         """A law read along the motion that it makes, its parameters refined."""
         best = candidate
         for turn in range(MOTION_ROUNDS):
@@ -190,9 +221,11 @@ class LawSearch:
                 return best
             motions = tuple(self._moved(candidate, k, forces) for k in range(len(candidate.parts)))
             parts = candidate.parts
-            if turn:
-                parts = tuple(self._refined(candidate, k, motions, problem) for k in range(len(parts)))
-            candidate = Candidate(parts, problem.solve(*self._along(parts, motions)), motions)
+            if refined and turn:
+                every = zip(parts, motions, strict=True)
+                each = [[self._column(place, block, motion)] for (place, block), motion in every]
+                parts = self._parts(Choice(self._space(problem, self.independent)).fitted(each))
+            candidate = self._candidate(parts, motions, problem)
             if not np.isfinite(candidate.score) or candidate.score > 3.0 * best.score:
                 return best
             settled = abs(candidate.score - best.score) < 0.01 * best.score
@@ -201,15 +234,14 @@ class LawSearch:
                 break
         return best
 
-    def refitted(self, parts: tuple[tuple[LawPlace, Block], ...]) -> Candidate:
+    def refitted(self, parts: Parts) -> Candidate:
         """The strengths of a law whose places and terms are known, along the motion that it makes.
 
         Raises:
             UnboundedMotionError: see :meth:`problem`.
         """
         motions = tuple(self.motion(place, []) for place, _ in parts)
-        kept = tuple((place, replace(block, refined=())) for place, block in parts)
-        return self.again(Candidate(kept, self.basis.solve(*self._along(kept, motions)), motions))
+        return self.again(self._candidate(parts, motions, self.basis), refined=False)
 
     def _moved(self, candidate: Candidate, number: int, forces: Forces) -> ComplexArray:
         """Motion of a place under the forces of a law, its mean by a step of Newton's method.
@@ -229,95 +261,10 @@ class LawSearch:
         motion[:, 0] = before[:, 0] + share * (motion[:, 0] - before[:, 0])
         return motion
 
-    def _along(
-        self, parts: tuple[tuple[LawPlace, Block], ...], motions: tuple[ComplexArray, ...]
-    ) -> tuple[FloatArray, BoolArray]:
-        """Columns of parts along motions, and which of their coefficients may have either sign."""
-        columns = [
-            self.columns(place, block.terms, *sampled(motion, self.rows.levels.omega))
-            for (place, block), motion in zip(parts, motions, strict=True)
-        ]
-        return np.concatenate(columns, axis=2), np.array([t.signed for _, block in parts for t in block.terms])
-
-    def _refined(
-        self, candidate: Candidate, number: int, motions: tuple[ComplexArray, ...], problem: ConvexFit
-    ) -> tuple[LawPlace, Block]:
-        """One part with the parameter of its block moved to where the fit is best."""
-        place, block = candidate.parts[number]
-
-        def cost(other: Block) -> float:
-            parts = list(candidate.parts)
-            parts[number] = (place, other)
-            return problem.cost(*self._along(tuple(parts), motions))
-
-        for parameter in block.refined if block.terms[0].first > 0.0 or 1 not in block.refined else ():
-            block = best_moved(block, parameter, (-0.4, 0.4), cost)
-        return place, block
-
-    def seconds(self, first: Candidate) -> list[Candidate]:
-        """Pairs of a first law and a block at any place, the best first."""
-        forces = self.forces(first)
-        problem = self.problem(forces)
-        known = self._known(forces)
-        found: list[Candidate] = []
-        for place in self.places():
-            motion = self.rows.motion(place.participation, [*known, *forces])
-            found += self._at(place, motion, problem, first)
-        return sorted(found, key=lambda candidate: candidate.score)
-
-    def firsts(self, pair: Candidate) -> list[Candidate]:
-        """Blocks in the place of the first law of a pair, the best first: it was chosen for both."""
-        second = Candidate(pair.parts[1:], pair.fit, pair.motions[1:])
-        found = self._at(pair.parts[0][0], pair.motions[0], self.problem(self.forces(pair)), second)
-        return sorted(found, key=lambda candidate: candidate.score)
-
-    def fewer(self, pair: Candidate) -> list[Candidate]:
-        """The laws with one power less: a polynomial that was chosen with another first law may have one too many."""
-        problem, found = self.problem(self.forces(pair)), []
-        for k, (place, block) in enumerate(pair.parts):
-            for term in block.terms if len(block.terms) > 1 else ():
-                if term.kind == "power":
-                    kept = replace(block, terms=tuple(other for other in block.terms if other != term))
-                    parts = (*pair.parts[:k], (place, kept), *pair.parts[k + 1 :])
-                    found.append(replace(pair, parts=parts, fit=problem.solve(*self._along(parts, pair.motions))))
-        return found
-
 
 def moves_enough(sizes: FloatArray) -> BoolArray:
     """Which places move enough for a force there to be seen, from their motions."""
     return np.asarray(sizes > THRESHOLDS.law.least_motion_share * sizes.max())
-
-
-def between(family: Sequence[Block], number: int, cost: Callable[[Block], float]) -> Block:
-    """The block of a family between the neighbours of its best one where the cost is least."""
-    best = family[number]
-    size = best.terms[0].first
-    if not size > 0.0:
-        return best
-    low = family[max(number - 1, 0)].terms[0].first
-    high = family[min(number + 1, len(family) - 1)].terms[0].first
-    bounds = (max(low, 0.5 * size) / size, high / size)
-    if not bounds[1] > bounds[0]:
-        return best
-    found = minimize_scalar(
-        lambda factor: cost(moved(best, 1, float(factor))), bounds=bounds, method="bounded", options={"maxiter": 12}
-    )
-    return moved(best, 1, float(found.x)) if found.fun < cost(best) else best
-
-
-def best_moved(block: Block, number: int, logs: tuple[float, float], cost: Callable[[Block], float]) -> Block:
-    """The block with a parameter moved, within logarithms of a factor, to where the cost is least."""
-
-    def at(log_factor: float) -> Block:
-        return moved(block, number, float(np.exp(log_factor)))
-
-    found = minimize_scalar(
-        lambda log_factor: cost(at(log_factor)),
-        bounds=logs,
-        method="bounded",
-        options={"xatol": 5e-3 * logs[1], "maxiter": 20},
-    )
-    return at(float(found.x)) if found.fun < cost(block) else block
 
 
 def fewest(found: Sequence[Candidate]) -> Candidate:

@@ -12,9 +12,9 @@ import numpy as np
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
-from nmt_diagnose.law.law_blocks import Block
+from nmt_diagnose.law.law_blocks import Block, signed
 from nmt_diagnose.law.law_rows import LawRows
-from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError, fewest
+from nmt_diagnose.law.law_search import Candidate, LawSearch, UnboundedMotionError, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.record_check import RecordCheck
@@ -22,9 +22,6 @@ from nmt_diagnose.law.terms import Term, sampled
 from nmt_diagnose.measurements.measurement import HeldLevels, Observations
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
-
-_FINALISTS = 10
-"""Laws that are read again along the motion that they make."""
 
 
 @dataclass(frozen=True)
@@ -196,7 +193,7 @@ def refitted_laws(rig: Rig, observations: Observations, reading: LawReading) -> 
     if levels is None or frame is None:
         return None
     search = LawSearch(LawRows(frame, frame.relative(levels)), rig)
-    places = {(place.point, place.other_point): place for place in search.places()}
+    places = {(place.point, place.other_point): place for place in search.places}
     if any((law.point, law.other_point) not in places for law in reading.laws):
         return None
     parts = tuple(
@@ -241,9 +238,7 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     if before < limits.least_null_score:
         why = "the levels differ from the model by no more than noise and tolerances"
         return LawReading(levels.name, levels.count, (), before, before, math.nan, math.nan, (why,))
-    tried = search.singles()[:_FINALISTS]
-    again = (search.again(candidate) for candidate in tried)
-    finalists = sorted((one for one in again if one.elements), key=lambda candidate: candidate.score)
+    finalists = search.found()
     if not finalists:
         why = "no local force explains them"
         return LawReading(levels.name, levels.count, (), before, before, 0.0, 0.0, (why,))
@@ -264,24 +259,13 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
 def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     """Adds a second law if it improves the score, or if the first needs implausible nuisance parameters."""
     limits = THRESHOLDS.law
-    bent = bool(_pulled(first))
-    if not bent and first.score <= limits.second_from_score:
+    if not _pulled(first) and first.score <= limits.second_from_score:
         return first
     # The residual of a law that closes nearly all is often due to its form, and then falls by a part only.
     enough = closed_share(search.null.score, first.score) >= limits.single_closure
     ratio = limits.clear_score_ratio if enough else limits.second_score_ratio
-    found = [search.again(pair) for pair in search.seconds(first)[:4]]
-    pairs = [pair for pair in found if _is_better(pair, first, ratio)]
-    if not pairs:
-        return first
-    pair = fewest(pairs)
-    size = len(first.parts[0][1].terms)
-    values, std = pair.fit.coefficients[size:], _stds(pair)[size:]
-    if not np.any(np.abs(values[values != 0.0]) > limits.pull_sigmas * std[values != 0.0]):
-        return first
-    others = [search.again(other) for other in search.firsts(pair)[:3]]
-    chosen = fewest([pair, *(other for other in others if _is_better(other, first, ratio))])
-    return fewest([chosen, *(search.again(law) for law in search.fewer(chosen))])
+    pairs = [pair for pair in search.found(first) if _is_better(pair, first, ratio)]
+    return fewest(pairs) if pairs else first
 
 
 def _is_better(pair: Candidate, first: Candidate, ratio: float) -> bool:
@@ -313,14 +297,14 @@ def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
     """rms of the top two levels as a fit to those below predicts them, without and with the law."""
     count = search.rows.levels.count
     top = [count - 2, count - 1]
-    forces = search.forces(best)
-    problem = search.problem(forces)
+    problem = search.problem(search.forces(best))
     empty = np.zeros((*problem.target.shape, 0))
     kept = _slipping(search, best, count - 2)
-    signed = np.array([t.signed for _, block in best.parts for t in block.terms])[kept]
     return (
         search.basis.predicted(empty, np.zeros(0, bool), top),
-        problem.predicted(search.law_columns(best)[:, :, kept], signed, top),
+        problem.predicted(
+            search.law_columns(best.parts, best.motions)[:, :, kept], signed([b for _, b in best.parts])[kept], top
+        ),
     )
 
 
@@ -380,7 +364,7 @@ def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Ca
         where, there = candidate.parts[0][0], [(term, c) for _, term, c in candidate.terms()]
         words = family(there)
         if where != place and words == family_words:
-            places[_name(where)] = None
+            places[where.name] = None
         elif where == place and words != family_words and not _forms(acting) <= _forms(there):
             families[words] = None
     terms = tuple(
@@ -401,7 +385,3 @@ def _forms(terms: Sequence[tuple[Any, ...]]) -> set[tuple[str, float]]:
 def nearly_as_well(score: float, best: float) -> bool:
     """Whether a law at another place fits nearly as well as the best."""
     return score <= THRESHOLDS.law.place_score_ratio * best
-
-
-def _name(place: LawPlace) -> str:
-    return f"{place.point}-{place.other_point}" if place.other_point else f"{place.point}"

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed
+from nmt_diagnose.law.law_blocks import signed
+from nmt_diagnose.law.record_search import RecordLaw, RecordSearch
 from nmt_diagnose.law.sampled_records import SampledRecords
 
 _LINE = 1500  # points of the law's line

@@ -17,12 +17,13 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop
+from nmt_diagnose.law.law_blocks import signed
 from nmt_diagnose.law.law_elements import with_laws
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share, nearly_as_well
 from nmt_diagnose.law.record_check import RecordCheck, check_of
 from nmt_diagnose.law.record_delay import delay_of
-from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, signed, words_of
+from nmt_diagnose.law.record_search import RecordLaw, RecordSearch, words_of
 from nmt_diagnose.law.sampled_records import SampledRecords
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.thresholds import THRESHOLDS

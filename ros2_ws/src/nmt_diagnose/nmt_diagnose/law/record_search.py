@@ -4,28 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.choose.choice import Choice, Chosen, Judged
-from nmt_diagnose.choose.space import Columns, Space
+from nmt_diagnose.choose.space import Space
 from nmt_diagnose.law.convex import ConvexFit, Solution
-from nmt_diagnose.law.law_blocks import Block, blocks_of_records, moved
+from nmt_diagnose.law.law_blocks import Along, Block, BlockColumns, blocks_of_records, moved, signed
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.sampled_records import DELAY, HALF_A_SAMPLE, SampledRecords
 from nmt_diagnose.law.terms import Term
-from nmt_diagnose.measurements.imposed_motion import POSITION
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.model.local_elements.element import MAGNITUDE_OF
 
 _BLOCKS = 5  # side by side
-_BELOW = 0.1  # of a strength that it may be below zero at the end of the range
 _STEP = 1e-3  # of a parameter, for differences
-_LEAST_EXPONENT = 1.05  # of a damper: 1 is viscous, and elements have no less
 _THIN = 8  # of a family that are tried where places are compared
 _COMPARED = 12  # sets of families that may do nearly as well
 _SPARSE = 0.5  # independent share of rows of a law: beyond it they lie too far apart to show correlated residuals
@@ -175,12 +171,12 @@ class RecordSearch:
         return np.flatnonzero(size)
 
     def _library(self, families: Mapping[str, Sequence[Block]]) -> list[BlockColumns]:
-        found = []
-        for name, members in families.items():
-            for number, block in enumerate(members):
-                near = members[max(number - 1, 0)], members[min(number + 1, len(members) - 1)]
-                found.append(BlockColumns.of(self.records, self._rows, name, block, _reach(block, *near)))
-        return found
+        along = Along(self._columns, list(self.records.records[0].channels), self.records.range_of)
+        return BlockColumns.every(along, families)
+
+    def _columns(self, terms: Sequence[Term]) -> FloatArray:
+        values = self.records.columns(terms).reshape(-1, len(terms))
+        return values if len(values) == self._rows.size else values[self._rows]
 
     def _law_of(self, chosen: Chosen, one: Judged) -> RecordLaw:
         columns = [chosen.columns[number] for number in one.numbers]
@@ -188,9 +184,8 @@ class RecordSearch:
 
     def moved(self, blocks: Sequence[Block]) -> RecordLaw:
         """Blocks with their parameters moved to where the fit is best."""
-        families = {f"{number} {block.name}": [block] for number, block in enumerate(blocks)}
-        found = Choice(self._space).moved(self._library(families))
-        return self.law([column.block for column in found if isinstance(column, BlockColumns)])
+        chosen = Choice(self._space).fitted([self._library({block.name: [block]}) for block in blocks])
+        return self._law_of(chosen, chosen.best)
 
     def late(self, law: RecordLaw) -> float:
         """Samples by which the force comes later than the motion, fitted together with a law."""
@@ -248,127 +243,5 @@ def words_of(records: SampledRecords[Any], law: RecordLaw) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]]) if len(names) > 1 else "".join(names)
 
 
-@dataclass(frozen=True, eq=False)
-class BlockColumns(Columns):
-    """A block of terms along the motion of records.
-
-    Attributes:
-        records: with the motion.
-        rows: places of the rows in parts of equal length.
-        block: the terms.
-        reach: logarithms of the factors by which its parameters are moved at most.
-        asked: whether its exponent is one that was asked, which is likelier than others.
-    """
-
-    records: SampledRecords[Any] = field(kw_only=True, repr=False)
-    rows: IntArray = field(kw_only=True, repr=False)
-    block: Block = field(kw_only=True)
-    reach: tuple[float, float] = field(kw_only=True)
-    asked: bool = field(kw_only=True)
-
-    @classmethod
-    def of(
-        cls,
-        records: SampledRecords[Any],
-        rows: IntArray,
-        name: str,
-        block: Block,
-        reach: tuple[float, float],
-        asked: bool = True,
-    ) -> BlockColumns:
-        """The columns of a block, by the name of its family."""
-        values = records.columns(block.terms).reshape(-1, len(block.terms))
-        values = values if len(values) == rows.size else values[rows]
-        freed = 0 if asked and _has_exponent(block) else len(block.refined)
-        return cls(
-            "", name, values, signed=signed([block]), freed=freed, causes=2 if block.by else 1, records=records,
-            rows=rows, block=block, reach=reach, asked=asked,
-        )  # fmt: skip
-
-    @cached_property
-    def same(self) -> tuple[str, Block]:
-        """See :attr:`Columns.same`."""
-        return self.term, self.block
-
-    def _of(self, block: Block) -> BlockColumns:
-        return BlockColumns.of(self.records, self.rows, self.term, block, self.reach, self.asked)
-
-    @cached_property
-    def reaches(self) -> Sequence[tuple[float, float]]:
-        """See :attr:`Columns.reaches`; a contact without a clearance has none."""
-        if not self.block.terms[0].first > 0.0 and 1 in self.block.refined:
-            return ()
-        return [self.reach] * len(self.block.refined)
-
-    def moved(self, number: int, log_factor: float) -> BlockColumns:
-        """See :meth:`Columns.moved`; what is bounded stays there."""
-        low, high = self.reach
-        bounded = self.block.bounded or _has_exponent(self.block)
-        reach = (low - log_factor, high - log_factor) if bounded else self.reach
-        block = moved(self.block, self.block.refined[number], math.exp(log_factor))
-        return BlockColumns.of(self.records, self.rows, self.term, block, reach, False)
-
-    def allows(self, coefficients: FloatArray) -> bool:
-        """Whether the block has a force, contacts their spring, and stays passive along a channel that it follows."""
-        block, strengths = self.block, dict(zip(self.block.terms, coefficients.tolist(), strict=True))
-        if not (strengths[block.terms[0]] if block.contact else np.any(coefficients)):
-            return False
-        if not block.by:
-            return True
-        low, high = self.records.range_of(block.by)
-        return all(
-            abs(strengths.get(replace(term, by="", about=0.0), 0.0)) * (1.0 + _BELOW) >= abs(value) * 0.5 * (high - low)
-            for term, value in strengths.items()
-            if term.by and not term.form.signed
-        )
-
-    def shorter(self, coefficients: FloatArray) -> list[BlockColumns]:
-        """The block with the terms that act, and these without one of them; with an exponent that is not fitted."""
-        terms = [term for term, value in zip(self.block.terms, coefficients, strict=True) if value != 0.0]
-        some = [terms] if len(terms) < len(self.block.terms) else []
-        for term in terms if len(terms) > 1 else ():
-            if term.by or not any(other.by and replace(other, by="", about=0.0) == term for other in terms):
-                some.append([other for other in terms if other != term])
-        found = [self._of(replace(self.block, terms=tuple(kept))) for kept in some]
-        exponent = round(2.0 * self.block.terms[0].first) / 2.0
-        if _has_exponent(self.block) and not self.asked and exponent > _LEAST_EXPONENT:
-            block = replace(self.block, terms=tuple(replace(term, first=exponent) for term in self.block.terms))
-            reach = _reach(block, block, block)
-            found.append(BlockColumns.of(self.records, self.rows, self.term, block, reach))
-        return found
-
-    def following(self) -> list[BlockColumns]:
-        """The block with coefficients that change with one of the measured channels."""
-        found, block = [], self.block
-        for channel in self.records.records[0].channels:
-            low, high = self.records.range_of(channel)
-            plain = channel.removeprefix(MAGNITUDE_OF)
-            if block.by or block.contact or not high > low or (plain == POSITION and block.terms[0].signed):
-                continue
-            ends = self.records.range_of(plain)
-            # Where a channel is of one sign its magnitude says the same.
-            if plain == channel or ends[0] * ends[1] < 0.0:
-                found.append(self._of(block.following(channel, 0.5 * (low + high))))
-        return found
-
-
-def _has_exponent(block: Block) -> bool:
-    return "{power}" in block.terms[0].form.formula
-
-
-def _reach(block: Block, below: Block, above: Block) -> tuple[float, float]:
-    """Logarithms of the factors by which a block is moved: what is bounded stays between its neighbours."""
-    size = block.terms[0].first
-    if not block.bounded or not size > 0.0:
-        return (math.log(_LEAST_EXPONENT / size) if _has_exponent(block) else -block.reach), block.reach
-    ends = sorted((below.terms[0].first, above.terms[0].first))
-    return math.log(max(ends[0] / size, 0.5)), math.log(ends[1] / size)
-
-
 def _terms(blocks: Sequence[Block]) -> list[Term]:
     return [term for block in blocks for term in block.terms]
-
-
-def signed(blocks: Sequence[Block]) -> BoolArray:
-    """Coefficients of blocks that may have either sign, (k,)."""
-    return np.array([term.signed for term in _terms(blocks)], bool)

@@ -203,5 +203,5 @@ def channel_sizes(observations: Observations, number: int, channel: int) -> Floa
     rows, test = observations.rows, observations.tests[number]
     theirs = (rows.test == number) & (rows.channel == channel)
     if test.given_channel is not None and test.channels[channel] is test.given_channel:
-        return rows.amplitude[theirs & (rows.part == Part.LOG_FREQUENCY)]
-    return np.exp(observations.values[theirs & (rows.part == Part.LOG_MAGNITUDE)])
+        return np.asarray(rows.amplitude[theirs & (rows.part == Part.LOG_FREQUENCY)])
+    return np.asarray(np.exp(observations.values[theirs & (rows.part == Part.LOG_MAGNITUDE)]))

@@ -204,7 +204,7 @@ def test_the_diagnosis_states_the_law_of_a_driven_record(tmp_path: Path) -> None
     found = diagnosed(rig_of(tmp_path, TEXT), bag(tmp_path, more), "added_mass")
     assert found.verdict is Verdict.UNKNOWN
     assert "In the record the missing force acts like clearance at point 3" in found.sentences[0]
-    assert "The rig file gets it as local elements" in found.sentences[-1]
+    assert any("The rig file gets it as local elements" in sentence for sentence in found.sentences[1:])
 
 
 def test_a_strength_that_follows_a_channel_is_read_from_a_driven_record(tmp_path: Path) -> None:

@@ -128,5 +128,5 @@ def test_a_joint_is_judged_from_its_share_of_moving_rows_on(share: float, judged
     assert THRESHOLDS.moving_rows == 0.1
     moving = (np.arange(1000) < 1000 * share)[:, None]
     still = np.zeros((1000, 1))
-    motion = Motion(0.002, 11, still, still, still, still, still, moving, np.zeros(1000, dtype=int))
+    motion = Motion(0.002, 11, still, still, still, still, still, still, moving, np.zeros(1000, dtype=int))
     assert bool(motion.moves[0]) is judged

@@ -436,7 +436,8 @@ def _sentences(
         contradicts = f"The model leaves {percent(share_of_signal)} of {whose}, which is no noise."
         if findings.contradiction is not None and share_of_signal < THRESHOLDS.verdict.unexplained_share:
             contradicts = f"Of the model alone {findings.contradiction.sentence}."
-        text = (contradicts, *text)
+        begins = 1 if judgement.law is not None and judgement.law_leads else 0
+        text = (*text[:begins], contradicts, *text[begins:])
     if findings.factors:
         named_factors = (found.sentence for found in findings.factors)
         text = (*named_factors, UNITS_FIRST)

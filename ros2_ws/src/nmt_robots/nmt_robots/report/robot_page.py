@@ -1,4 +1,4 @@
-"""``report.html`` of a robot: the log first, then a row for each joint."""
+"""``report.html`` of a robot: bodies, joints and motion first, then the evidence, last the log and the file."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from matplotlib.figure import Figure
 from nmt_core.text.number_words import percent, value_text
 from nmt_report.quantity_format import significant
 from nmt_report.response_page import ResponsePage, html_figures, html_table
-from nmt_report.svg import BLUE, MUTED, ORANGE, ReportFigure, figure_style, svg_text
+from nmt_report.svg import BLUE, MUTED, ORANGE, RED, ReportFigure, figure_style, svg_text
 from nmt_robots.log_faults.finding import is_known
 from nmt_robots.verdict.joint_verdict import JointVerdict
 from nmt_robots.verdict.replay import Replay
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
+_FAULTS = 2
+"""On the first screen; the table has all."""
 _REPLAYED_JOINTS = 4
 _REPLAYED_POINTS = 600
 """In a figure."""
@@ -35,24 +37,46 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
         subtitle=f"{len(diagnosis.joints)} joints, {diagnosis.log.rows} rows at "
         f"{1.0 / diagnosis.log.step_s:.4g} Hz of {diagnosis.log.source}",
         verdict=(diagnosis.verdict, "partly" if faults or differing else "good"),
-        answers=[("How the log is read", diagnosis.reading.text())],
+        answers=_answers(diagnosis),
         cards=_cards(diagnosis),
         sections=[
-            *([("file", "The robot's file", _file(diagnosis))] if diagnosis.of_file else []),
-            ("log", "The log", _log(diagnosis)),
-            *([("bodies", "Bodies", _bodies(diagnosis))] if diagnosis.bodies else []),
             ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
-            ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
+            *([("bodies", "Bodies", _bodies(diagnosis))] if diagnosis.bodies else []),
             *([("replay", "The log replayed", _replay(diagnosis.replay))] if diagnosis.replay else []),
+            ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
             *([("others", "Other logs", _others(diagnosis))] if diagnosis.others else []),
             ("terms", "Terms of each joint", _terms(diagnosis)),
             ("next", "What to move next", _next(diagnosis)),
             ("limits", "What this log cannot tell", _limits(diagnosis)),
+            ("log", "The log", _log(diagnosis)),
+            *([("file", "The robot's file", _file(diagnosis))] if diagnosis.of_file else []),
         ],
         footer="Torque left: rms on seconds that no fit has seen. ± is a standard uncertainty; it spans all readings "
         "of the log that fit as well. Nothing is claimed below 3 % of a joint's torque. SI units.",
     )
     return page.html()
+
+
+def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
+    """What differs, in bodies and joints, how far the simulation moves with it, and how the log was read."""
+    named = [f"{joint.joint.name}: {joint.difference}" for joint in diagnosis.joints if joint.differs]
+    faults = [finding.sentence for finding in diagnosis.findings if finding.fault]
+    rows = [] if diagnosis.bodies is None else [("Bodies", diagnosis.bodies.sentence)]
+    rows.append(("Joints", "; ".join(named) + "." if named else "No joint differs from the model by a named cause."))
+    if diagnosis.replay is not None:
+        which = [("the model as given", "before")]
+        which += [("the changed model", "after")] if diagnosis.replay.changed else []
+        parts = [f"{words} {_distance(diagnosis.replay, name)}" for words, name in which]
+        rows.append(("In motion", f"Replayed, {'; '.join(parts)}."))
+    read = f"It is read with: {diagnosis.reading.text()}."
+    rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["It has no fault."]), read])))
+    return rows
+
+
+def _distance(replay: Replay, name: str) -> str:
+    """How far a simulation is from the measured motion, over the joints."""
+    rms = float(np.sqrt(np.mean([getattr(joint, name) ** 2 for joint in replay.joints])))
+    return f"misses the measured motion by {_missed(rms)} mrad rms" if is_known(rms) else "runs away"
 
 
 def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
@@ -239,7 +263,8 @@ def _next(diagnosis: RobotDiagnosis) -> Markup:
 def _limits(diagnosis: RobotDiagnosis) -> Markup:
     rows = [
         ("armature or inertia of a link that turns alone", "the same column in any log", "weigh the link"),
-        ("pre-sliding", "needs a state of its own; not told here", "slow reversals, two amplitudes"),
+        ("friction that builds up over an angle", "named where slow reversals are many",
+         "slow reversals, two amplitudes"),
         ("torque constant or all of mass, friction and armature scaled", "only beyond their tolerances",
          "a known hung mass"),
         ("temperature, bands of position, hoses", "leave a residual that nothing fits", "the same motion when warm"),
@@ -287,14 +312,15 @@ def _bars(diagnosis: RobotDiagnosis) -> ReportFigure:
     axes = figure.add_axes((0.07, 0.32, 0.91, 0.6))
     places = np.arange(len(judged))
     kinds = (
-        (-0.27, "as_logged", "plain fit, log as it is", MUTED),
-        (0.0, "plain", "plain fit, log read anew", ORANGE),
-        (0.27, "left", "all terms", BLUE),
+        (-0.3, "unchanged", "model as given", RED),
+        (-0.1, "as_logged", "plain fit, log as it is", MUTED),
+        (0.1, "plain", "plain fit, log read anew", ORANGE),
+        (0.3, "left", "all terms", BLUE),
     )
     for shift, name, label, colour in kinds:
-        axes.bar(places + shift, [getattr(joint, name) for joint in judged], 0.25, color=colour, label=label)
+        axes.bar(places + shift, [getattr(joint, name) for joint in judged], 0.19, color=colour, label=label)
     axes.set_xticks(places, [joint.joint.name for joint in judged], rotation=30, ha="right")
     axes.set_ylabel("torque left (N·m)")
-    axes.legend(ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
+    axes.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ReportFigure("left", "Torque left on held-out seconds", "The lower, the more is explained.",
                         svg_text(figure, "left", "Torque left in each joint"), wide=True)  # fmt: skip

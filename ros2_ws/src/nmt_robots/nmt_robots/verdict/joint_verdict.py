@@ -417,5 +417,5 @@ def _remains(best: JointMechanics) -> str:
     share = after.interleaved / max(after.torque, 1e-300)
     words = f"{percent(share)} of the torque"
     if best.sticking_excess > 0.5:
-        words += "; torque in rows that stick is beyond Coulomb friction (breakaway or pre-sliding, not told)"
+        words += "; torque in rows that stick is beyond Coulomb friction (breakaway, or friction that builds up)"
     return words

@@ -20,7 +20,8 @@ from nmt_robots.mechanics.readings import DriveSignals, Reading
 from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
-from nmt_robots.verdict.replay import ChangedJoint, Simulated, driven_by
+from nmt_robots.report.robot_page import distance
+from nmt_robots.verdict.replay import ChangedJoint, JointReplay, Replay, Simulated, driven_by
 from nmt_robots.verdict.robot_diagnosis import read_log
 
 LATE = Reading(torque_lag_s=0.001)
@@ -146,3 +147,14 @@ def test_a_diagnosis_replays_its_log_and_has_it_on_the_page(tmp_path: Path) -> N
     assert 'id="replay"' in page
     assert "changed model misses" in page
     assert '"rms_changed"' in (tmp_path / "diagnosis.json").read_text()
+
+
+def test_the_page_keeps_angles_and_slides_apart() -> None:
+    def joint(name: str, missed: float) -> JointReplay:
+        return JointReplay(name, np.zeros(3), np.full(3, missed), np.zeros(3))
+
+    replay = Replay("", np.arange(3.0), (joint("elbow", 0.03), joint("wrist", 0.04), joint("lift", 0.002)), {})
+    assert distance(replay, "before", {"elbow", "wrist"}) == "misses the measured motion by 35.4 mrad and 2 mm rms"
+    assert distance(replay, "before", {"elbow", "wrist", "lift"}) == "misses the measured motion by 28.9 mrad rms"
+    away = replace(replay, joints=(joint("elbow", 0.03), joint("lift", np.nan)))
+    assert distance(away, "before", {"elbow"}) == "runs away"

@@ -25,7 +25,7 @@ _LARGEST_MASS = 1.0
 REACHES = np.geomspace(5e-4, 8e-3, 13)
 """Angles over which friction may build up, rad."""
 _FINEST = 8.0
-"""Of an encoder's noise, below which an angle is not told from no angle at all."""
+"""Multiple of an encoder's noise below which the log does not resolve an angle."""
 
 _PASSIVE = frozenset({"stribeck", "quadratic_friction", "root_friction", "load_friction", "end_stop"})
 """Rivals that would drive the joint if their coefficient were negative."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any
 
 import matplotlib
@@ -66,17 +67,30 @@ def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     if diagnosis.replay is not None:
         which = [("the model as given", "before")]
         which += [("the changed model", "after")] if diagnosis.replay.changed else []
-        parts = [f"{words} {_distance(diagnosis.replay, name)}" for words, name in which]
+        turning = {joint.joint.name for joint in diagnosis.joints if joint.joint.turns}
+        parts = [f"{words} {distance(diagnosis.replay, name, turning)}" for words, name in which]
         rows.append(("In motion", f"Replayed, {'; '.join(parts)}."))
     read = f"It is read with: {diagnosis.reading.text()}."
     rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["It has no fault."]), read])))
     return rows
 
 
-def _distance(replay: Replay, name: str) -> str:
-    """How far a simulation is from the measured motion, over the joints."""
-    rms = float(np.sqrt(np.mean([getattr(joint, name) ** 2 for joint in replay.joints])))
-    return f"misses the measured motion by {_missed(rms)} mrad rms" if is_known(rms) else "runs away"
+def distance(replay: Replay, name: str, turning: Collection[str]) -> str:
+    """How far a simulation is from the measured motion: rms over the joints that turn, and over those that slide.
+
+    Args:
+        replay: of the log.
+        name: of the simulation, ``before`` (model as given) or ``after`` (changed model).
+        turning: names of the joints that turn; the others slide.
+    """
+    found = []
+    for unit, of_kind in (("mrad", True), ("mm", False)):
+        squares = [getattr(joint, name) ** 2 for joint in replay.joints if (joint.joint in turning) == of_kind]
+        rms = float(np.sqrt(np.mean(squares))) if squares else 0.0
+        if not is_known(rms):
+            return "runs away"
+        found += [f"{_missed(rms)} {unit}"] if squares else []
+    return f"misses the measured motion by {' and '.join(found)} rms"
 
 
 def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:

@@ -195,7 +195,7 @@ def test_a_parameter_is_compared_in_stated_standard_deviations() -> None:
     both = said("effect", explained("cubic_stiffness + force_gain", "structure 7", 0.9, parameters=parameters))
     found = judge(PAIR, both)
     assert (found.parameter, round(found.deviation, 6)) == ("force_gain.g", -3.0)
-    # A number of another effect is no estimate of this one's.
+    # A number of another effect is not an estimate of this one's.
     other = said("effect", explained("added_mass", "structure 7", 0.9, parameters={"k": wrong}))
     assert judge(CUBIC, other).parameter == ""
     # Nor one at another point, where another value does the same.

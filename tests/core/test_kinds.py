@@ -71,7 +71,7 @@ def test_every_number_has_a_class_and_an_old_recording_is_phase_resonance():
     ("name", "given", "sentence"),
     [
         ("phase_resonance", {"harmonics_control": 1}, "from 2 to 50, 0 for none or auto, got 1"),
-        ("phase_resonance", {"harmonics_control": "many"}, "is no number"),
+        ("phase_resonance", {"harmonics_control": "many"}, "is not a number"),
         ("phase_resonance", {"method": "envelope"}, "A phase resonance test has no method"),
         ("self_excited", {"refinement": 0.001}, "A self excited test has no refinement"),
         ("secondary_resonance", {}, "needs the resonance, 3:1 or 1:3"),

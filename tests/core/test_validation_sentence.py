@@ -73,7 +73,7 @@ def test_a_union_that_names_no_kind_offers_the_keys_of_all() -> None:
 
 def test_own_words_and_remedies() -> None:
     assert "add it (such as: a)." in sentence_of("locked: true", remedies={"name": "such as: a"})
-    assert "name is no name, got 3." in sentence_of("name: 3", words={"string_type": "is no name"})
+    assert "name is not a name, got 3." in sentence_of("name: 3", words={"string_type": "is not a name"})
 
 
 def test_long_values_are_cut() -> None:

@@ -84,5 +84,5 @@ def test_a_clipped_channel_of_a_bag_is_where_the_search_begins(tmp_path: Path) -
     # Samples that were looked at and show no step need no converter that has one.
     assert not [label for label in own if label.startswith("quantisation")]
     assert [c.label for c in candidates(model, operating_range(model, observations.tests)) if "quantis" in c.label]
-    # What the model has, too, is no news.
+    # What the model has, too, is not new.
     assert not np.any(read_observations([bag], rig).rows.part == Part.LIMIT)

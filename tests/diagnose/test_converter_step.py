@@ -56,7 +56,7 @@ def test_a_coarse_channel_of_a_bag_is_named_and_the_twin_knows_its_step(tmp_path
     columns, _ = forward.influence(model, forward.predict(model), Source("response_sensor", channel="x4"))
     assert np.isfinite(columns).all()
     assert np.all(np.any(columns[seen], axis=1))
-    # A converter that the model has, too, is no news.
+    # A converter that the model has, too, is not new.
     assert not np.any(read_observations([bag], rig).rows.part == Part.STEP)
 
 

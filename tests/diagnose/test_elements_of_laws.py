@@ -212,7 +212,7 @@ def test_the_law_of_a_driven_record_is_that_of_the_file(number: int, folder: Pat
 
 @pytest.mark.parametrize("number", range(len(FORMS)), ids=named)
 def test_other_commands_take_the_element_or_say_why_not(number: int, folder: Path) -> None:
-    """The reference by harmonic balance, and a diagnosis of what is no record."""
+    """The reference by harmonic balance, and a diagnosis of what is not a record."""
     case = case_of(number, folder)
     (element,) = case.rig.local_elements
     decay = RecordedDecay("decay", 1, case.rig.sensors[2], np.array([1e-6]), 12.0)  # type: ignore[arg-type]

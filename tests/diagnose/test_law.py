@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.law.law_blocks import Block
 from nmt_diagnose.law.law_elements import with_law
-from nmt_diagnose.law.law_search import Candidate, LawPlace, LawSearch, UnboundedMotionError
+from nmt_diagnose.law.law_search import LawCandidate, LawPlace, LawSearch, UnboundedMotionError
 from nmt_diagnose.law.reading import LawReading, read_law
 from nmt_diagnose.law.terms import Term
 from nmt_diagnose.measurements.backbone_table import BackboneTable
@@ -126,7 +126,7 @@ def test_a_mean_force_moves_a_soft_place_to_its_equilibrium(compliance: float) -
     search.forces = lambda candidate: LawSearch.forces(search, candidate)
     place = LawPlace(1, 0, participation)
     fit = SimpleNamespace(coefficients=np.array([stiffness]))
-    candidate = Candidate(((place, Block("stop above", (Term("stop", gap, 1.0),))),), fit, (motion,))
+    candidate = LawCandidate(((place, Block("stop above", (Term("stop", gap, 1.0),))),), fit, (motion,))
     for _ in range(4):
         found = LawSearch._moved(search, candidate, 0, search.forces(candidate))
         candidate = replace(candidate, motions=(found,))
@@ -316,7 +316,7 @@ def test_a_stepped_sine_of_the_model_has_no_law() -> None:
 
 
 def test_where_no_term_acts_no_law_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A force that is no passive one: all coefficients of all laws are zero."""
+    """A force that is not a passive one: all coefficients of all laws are zero."""
     monkeypatch.setattr(LawSearch, "again", lambda search, candidate: SimpleNamespace(elements=0))
     found = read_law(chain_of_masses(), held([(3, "cubic", (4.0e8,), ())]))
     assert found is not None

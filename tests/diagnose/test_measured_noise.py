@@ -372,7 +372,7 @@ def test_what_an_explanation_leaves_beyond_noise_is_something_unnamed() -> None:
 
 
 def test_two_laws_that_explain_everything_may_imitate_a_third() -> None:
-    """What the library lacks takes 0.1 of 0.15 of a pair's probability; a sensor beside a law is no imitation."""
+    """What the library lacks takes 0.1 of 0.15 of a pair's probability; a sensor beside a law is not an imitation."""
     truth = real(
         MODEL,
         local_elements=[

@@ -1,4 +1,4 @@
-"""A coarse mesh of a beam is an error of the model that its own refinement shows; it is no effect and no verdict."""
+"""A coarse mesh of a beam is an error of the model that its own refinement shows, not an effect."""
 
 from __future__ import annotations
 

@@ -307,7 +307,7 @@ def test_uncertainties_of_local_fits_cover_noise_at_a_resonance() -> None:
     mean = np.mean(squares, axis=(0, 1))
     assert (mean > 0.6).all()
     assert (mean < 1.5).all()
-    # What noise leaves is no offset of the estimates.
+    # What noise leaves is not an offset of the estimates.
     offset = np.abs(np.mean(errors, axis=0)) / (np.std(errors, axis=0) / np.sqrt(40.0))
     assert offset.max() < 4.0
 

@@ -84,7 +84,7 @@ def test_a_recording_of_the_model_itself_is_what_it_predicts(exciters: str, driv
 @pytest.mark.campaign
 @pytest.mark.parametrize("exciters", SHAKERS)
 def test_without_recorded_voltages_the_forces_are_what_drives(exciters: str, tmp_path: Path) -> None:
-    """Of one exciter and of two; what was commanded is no sine where harmonics are controlled."""
+    """Of one exciter and of two; what was commanded is not a sine where harmonics are controlled."""
     changes = [("- quantity: voltage\n  exciter: 2\n", "")] if exciters.startswith("2") else []
     file = rig_file(tmp_path, exciters, *changes, ("- quantity: voltage\n", ""))
     rig = load_rig(file)

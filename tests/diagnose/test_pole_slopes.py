@@ -110,7 +110,7 @@ def test_slopes_of_poles_are_differences_of_eigenvalues(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["beam", "free beam", "chain"])
 def test_slopes_of_the_residual_are_its_differences(name: str) -> None:
-    """With the clock, sensors and everything else that is no matter of the system."""
+    """With the clock, sensors and everything else that is not a matter of the system."""
     rig = RIGS[name]()
     test, _ = noise_test(rig, 5.0, 60.0, 12)
     modes = shifted(rig, test, 2)

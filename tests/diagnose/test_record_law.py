@@ -112,7 +112,7 @@ BESIDE = {
 
 @pytest.mark.parametrize("words", BESIDE)
 def test_terms_side_by_side_are_told_apart(tmp_path: Path, words: str) -> None:
-    """Beside a preload of any size, which is no part of the law."""
+    """Beside a preload of any size, which is not a part of the law."""
     missing, strengths = BESIDE[words]
     reading = reading_of(tmp_path, missing + 0.3)
     assert reading.is_stated
@@ -220,7 +220,7 @@ def test_rows_that_lie_far_apart_separate_no_noise_from_a_misfit(
     search = RecordSearch(records)
     law = search.law([Block("law", (Term("friction", 0.01),))])
     share = law.score / search.null.score
-    assert search.remaining(law) == pytest.approx(share, rel=0.2)  # what it leaves is no noise
+    assert search.remaining(law) == pytest.approx(share, rel=0.2)  # what it leaves is not noise
     monkeypatch.setattr(MovedRecords, "independent", lambda *_: 1.0)
     assert search.remaining(law) == share
 

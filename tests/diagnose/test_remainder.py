@@ -60,7 +60,7 @@ def test_less_than_a_percent_is_not_told(observations: Observations, closed: flo
 
 
 def test_of_noise_nothing_is_left(observations: Observations) -> None:
-    """What the uncertainties allow without the explanation is no gap that it could leave."""
+    """What the uncertainties allow without the explanation is not a gap that it could leave."""
     rows = np.ones(len(observations.rows), dtype=bool)
     weak = replace(LEFT, before=0.9, after=0.8, closed=0.3)
     assert remainder(observations, weak, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows) is None

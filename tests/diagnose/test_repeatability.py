@@ -63,7 +63,7 @@ def test_what_cannot_be_is_refused(tmp_path: Path, wrong: str) -> None:
 
 
 def test_the_floor_from_repeats_is_the_scatter_of_one_test() -> None:
-    """Two tests that scatter by s differ by √2 s; what their noise explains of it is no floor."""
+    """Two tests that scatter by s differ by √2 s; what their noise explains of it is not a floor."""
     draw, count, scatter, noise = np.random.default_rng(1), 900, 3e-3, 2e-3
     first, second = (
         observations_of(draw.normal(0.0, np.hypot(scatter, noise), count), noise, levels=np.arange(count))

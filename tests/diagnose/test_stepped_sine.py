@@ -152,7 +152,7 @@ def test_a_strongly_driven_duffing_oscillator_against_time_integration(hz: float
     states = len(first_order(hz, force))
     assert states == (3 if hz == 54.5 else 1)
     found = predicted(oscillator(CUBIC), swept(np.array([hz]), force, np.array([exact])))[0]
-    # What the first-order closed form is off by here shows that this is no small amplitude.
+    # What the first-order closed form is off by here shows that this is not a small amplitude.
     assert abs(found / exact - 1.0) < 2e-4
     if branch == -1:
         assert abs(force * exact) ** 2 * CUBIC > 0.2 * OMEGA**2

@@ -1,4 +1,4 @@
-"""What is left at one end of the levels and not at the others is no noise, whatever its scale."""
+"""What is left at one end of the levels and not at the others is not noise, whatever its scale."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def test_extraction_knows_the_levels_with_control():
     extractor = Extractor(LINEAR)
     extractor.add_level(0, 0.1, "V")
     extractor.add_level(1, 0.1, "V", 9)
-    extractor.add_level(2, 0.0, "V", 9)  # the end of the excitation is no level
+    extractor.add_level(2, 0.0, "V", 9)  # the end of the excitation is not a level
     assert extractor.history.driven == {1: 9}
     assert ChannelHistory().driven == {}
 

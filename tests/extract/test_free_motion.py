@@ -49,7 +49,7 @@ def test_linear_growth_and_decay_are_exact(damping: float, mass: float) -> None:
 
 
 def test_a_force_that_was_measured_is_taken_out() -> None:
-    """A circuit that brakes with c ẋ: what it takes is no damping of the structure."""
+    """A circuit that brakes with c ẋ: what it takes is not a damping of the structure."""
     damping, brake = -0.03, 2.0
     decay = damping * OMEGA + 0.5 * brake
     s = complex(-decay, math.sqrt(OMEGA**2 - decay**2))

@@ -150,7 +150,7 @@ def test_coarse_stamps_are_checked_and_not_used(given: Callable[[str], Path]) ->
     assert any("too coarse for 1600 Hz" in note for note in run.notes)
     with pytest.raises(BenchError, match="give sample_rate: the column is then only checked"):
         read_import(changed(folder / "s.yaml", sample_rate=None))
-    # A rate that the stamps deny is no rate.
+    # A rate that the stamps deny is not a rate.
     with pytest.raises(BenchError):
         read_import(changed(folder / "s.yaml", sample_rate=1500))
 

@@ -217,7 +217,7 @@ def _torque_of(path: Path) -> None:
     file_findings(model, model.names)
     pose = np.linspace(-0.5, 0.5, len(model.names))[None]
     if not np.all(np.isfinite(model.torque(model.names, pose, pose, pose))):
-        raise ValueError("the torque is no number")
+        raise ValueError("the torque is not a number")
 
 
 def kinds_in(folder: Path) -> list[Kind]:

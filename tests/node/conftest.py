@@ -92,7 +92,7 @@ class Surroundings:
         found = [f"child process {pid}: {line}" for pid, line in children.items()]
         found += [f"thread {thread.name}" for thread in threads() - self.threads]
         if contexts() - self.contexts:
-            gc.collect()  # a context nobody holds any more is no leak
+            gc.collect()  # a context nobody holds any more is not a leak
         found += [f"initialised rclpy context {context!r}" for context in contexts() - self.contexts]
         return found
 

@@ -37,7 +37,7 @@ def test_every_documented_command_has_an_answer() -> None:
             if answer.tested_by:
                 file, _, test = answer.tested_by.partition("::")
                 text = (TESTS / file).read_text(encoding="utf-8")
-                assert not test or f"def {test}(" in text, f"{answer.tested_by} is no test"
+                assert not test or f"def {test}(" in text, f"{answer.tested_by} is not a test"
 
 
 def line_of(line: str) -> str:

@@ -402,6 +402,6 @@ def test_a_wire_that_is_cut_takes_the_drive_to_zero(wire: Wire, tmp_path: Path) 
     held = lines[-1]
     # Commands stop; and a plant whose middleware waits for the lost host is late for its own output. Either is enough.
     assert held.reason.startswith(("watchdog: no drive command", "no block was there", "not fed for"))
-    # What the converter's clock lost on a busy machine is no time of the drive.
+    # What the converter's clock lost on a busy machine is not a time of the drive.
     slip = (held.time - following.time) - (held.sample - following.sample) / 10_000.0
     assert held.time - cut - max(slip, 0.0) <= 1.5

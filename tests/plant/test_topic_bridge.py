@@ -325,7 +325,7 @@ TYPES = {
         ("acc.linear", "a/msg/Stamped has no field 'acc'; it has header, accel, label, all"),
         ("accel.angular", "a/msg/Accel has no field 'angular'"),
         ("accel", "a/msg/Accel has no number of its own"),
-        ("label", "is a string and is no number"),
+        ("label", "is a string and is not a number"),
         ("accel.linear.x", "is a double and has no 'x'"),
         ("accel.many", "is an array; name one of its elements"),
         ("all.tip.accel.angular", "no field"),

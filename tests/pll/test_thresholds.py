@@ -41,7 +41,7 @@ def test_any_threshold_that_moves_is_noticed(path: str) -> None:
 
 
 def test_no_constant_of_a_loop_stands_beside_them() -> None:
-    """Numbers at the left margin of the rooms of nmt_pll, but for what is no threshold."""
+    """Numbers at the left margin of the rooms of nmt_pll, but for what is not a threshold."""
     allowed = {"_BUNDLE_WAIT_S", "_END_WAIT_S", "FEWEST_BLOCKS"}
     found = set()
     for path in (ROOT / "ros2_ws/src/nmt_pll/nmt_pll").rglob("*.py"):

@@ -43,7 +43,7 @@ def table(times: list[str], head: str = "t", above: str = "") -> str:
         ("Sampling interval (ms): 0.5", 2000.0),
         ("Time step: 0.00025 s", 4000.0),
         ("Delta_X\t1.953125E-5", 51200.0),
-        # What may be something else is no clock.
+        # What may be something else is not a clock.
         ("Sample rate: 51,200 Hz", None),
         ("Sample rate: 51.2", None),
         ("dt = 0.5", None),

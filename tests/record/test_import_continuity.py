@@ -99,7 +99,7 @@ def test_a_csv_with_doubled_rows_in_a_window_is_refused(tmp_path, count, start):
 
 @pytest.mark.parametrize("count", [-2, -13, 2, 13])
 def test_rows_that_differ_by_rounding_are_found_by_the_phase(tmp_path, count):
-    """A doubled block that was resampled or rounded otherwise is no exact repetition."""
+    """A doubled block that was resampled or rounded otherwise is not an exact repetition."""
     columns = with_rows(list(recording(6.5).values()), 3000, count)
     if count > 0:
         generator = np.random.default_rng(8)

@@ -212,7 +212,7 @@ CASES: dict[str, tuple[Case, str]] = {
     "two rates": (with_time(stepped, sample_rate=None), "not uniform.*two clocks or rates"),
     "time jumps back": (with_time(lambda t: t % 3.0, sample_rate=None), "jumps back from 2.9995 to 0"),
     "time stands still": (with_time(lambda t: np.round(t, 2), sample_rate=None), "stands still.*more digits"),
-    "time with a hole that is no sample": (with_time(lambda t: t + 0.0003 * (t > 2)), "not uniform|rate changes"),
+    "time with a hole that is not a sample": (with_time(lambda t: t + 0.0003 * (t > 2)), "not uniform|rate changes"),
     "drifting clock": (with_time(lambda t: t + 1e-4 * t**2, sample_rate=None), "rate changes|not uniform"),
     "wrong rate": (with_time(lambda t: t, sample_rate=4000.0), "sample_rate is 4000 Hz, but column time"),
     "time in ms": (with_time(lambda t: 1e3 * t), r"steps of 0\.5 s .*unit of the time"),

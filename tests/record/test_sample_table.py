@@ -148,7 +148,7 @@ def test_what_spoils_a_window_of_a_steady_state(fault, kind):
 def test_a_sweep_can_be_used_up_to_its_fault(fault):
     verdict = table_of(FAULTY[fault], window=NamedWindow(200, 400, kind=TestKind.SWEEP)).verdict
     if fault is WindowFault.SILENT:
-        # Silence is no fault of a sweep; that the phase has gone on meanwhile is.
+        # Silence is not a fault of a sweep; that the phase has gone on meanwhile is.
         assert (verdict.fault, verdict.samples) == (WindowFault.PHASE_JUMP, 250)
     else:
         assert (verdict.fault, verdict.first_sample) == (fault, 200)

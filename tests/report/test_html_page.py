@@ -14,7 +14,7 @@ from report.synthetic_run import synthetic_run
 
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_report.diagnosis_report import diagnosis_page
-from nmt_report.html_page import Column, Row, Table, part, render
+from nmt_report.html_page import PageColumn, Row, Table, part, render
 from nmt_report.response_page import ResponsePage, html_table
 from nmt_report.run_report import report_html
 from nmt_report.svg import ReportFigure
@@ -28,7 +28,7 @@ def without_figures(page: str) -> str:
 
 def test_cells_are_escaped_unless_they_are_markup() -> None:
     table = Table(
-        (Column("a<b", kind="text"), Column(Markup("<i>q</i>"), "<m>"), Column("c")),
+        (PageColumn("a<b", kind="text"), PageColumn(Markup("<i>q</i>"), "<m>"), PageColumn("c")),
         [Row(("x & y", Markup("<b>1</b>"), 2)), Row(("z",), failed=True, reason="not <locked>")],
         "no<te",
         "head>ing",

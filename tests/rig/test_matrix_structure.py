@@ -78,7 +78,7 @@ def test_what_travels_needs_no_files(tmp_path, beam):
 
 @pytest.mark.parametrize("structure", with_quick(STRUCTURES, *STRUCTURES[::8], *STRUCTURES[3::8]), ids=lambda s: s.name)
 def test_what_nodes_and_diagnoses_write_loads(tmp_path, structure):
-    """The rounding of a reduction is no number of a rig file; the frequencies are those of the full matrices."""
+    """The rounding of a reduction is not a number of a rig file; the frequencies are those of the full matrices."""
     file = structure.write(tmp_path)
     rig = load_rig(file)
     (tmp_path / "snapshot.yaml").write_text(rig_text(rig, file))

@@ -1,4 +1,4 @@
-"""A command or a loop that is late or early is no friction, no armature and no gain."""
+"""A command or a loop that is late or early is neither friction, armature nor gain."""
 
 from __future__ import annotations
 

@@ -63,7 +63,7 @@ def test_friction_that_falls_with_speed_is_found_within_the_tolerances(tmp_path:
 
 
 def test_friction_never_drives(tmp_path: Path) -> None:
-    """Friction that shrinks under load is no efficiency."""
+    """Friction that shrinks under load is not an efficiency."""
     asked = problem(tmp_path, lambda q, v: -0.1 * abs(3.53 * np.sin(q)) * np.sign(v))
     assert "load_friction" not in explain(asked, IN_MODEL).causes
 
@@ -140,7 +140,7 @@ def test_a_delay_that_joints_share_widens_damping_and_armature(tmp_path: Path) -
     shared = delayed(0.40, 0.31, 0.20)
     assert shared[0]["viscous"] == pytest.approx(80.0 * 0.005)
     assert shared[2]["armature"] == pytest.approx(2.0 * 0.005)
-    # One joint whose damping is off by itself is no delay of all.
+    # One joint whose damping is off by itself is not a delay of all.
     assert delayed(0.8, 0.0, 0.0)[0]["viscous"] == 0.0
     assert delayed(0.4) == {}
     assert by_shared_delay(replace(three, torque=three.position), [IN_MODEL] * 2, {0: mechanics, 1: mechanics}) == {}

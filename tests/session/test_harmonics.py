@@ -161,7 +161,7 @@ def test_a_dead_force_cell_ends_the_level_with_the_drive_at_zero():
     [
         ({"harmonics_control": 1000}, "must be from 2 to 50"),
         ({"harmonics_control": -2}, "must be from 2 to 50"),
-        ({"harmonics_control": "many"}, "is no number"),
+        ({"harmonics_control": "many"}, "is not a number"),
         ({"harmonics_control": 5, "harmonics_target": "velocity"}, "target 'velocity' is not known"),
         (
             {"harmonics_control": 5, "harmonics_target": "modal"},

@@ -23,7 +23,7 @@ class Recording:
         for topic, ratio in ratio_db.items():
             signal = 2.0 * np.cos(2.0 * np.pi * HZ * time) + 0.5 * np.sin(6.0 * np.pi * HZ * time)
             power = 0.5 * (2.0**2 + 0.5**2)
-            # The mean is no signal.
+            # The mean is not a signal.
             self.data[topic] = 3.0 + signal + np.sqrt(power / 10.0 ** (ratio / 10.0)) * draw.standard_normal(time.size)
 
     def lock_events(self) -> list[SimpleNamespace]:

@@ -394,7 +394,7 @@ def _console() -> Any:
 
 
 class _Bar:
-    """Progress with time spent and left; a line now and then where the output is no terminal."""
+    """Progress with time spent and left; a line now and then where the output is not a terminal."""
 
     _QUIET = 30.0  # s between lines
 

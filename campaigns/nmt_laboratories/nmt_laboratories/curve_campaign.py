@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from nmt_core.vocabulary import PointStatus
-from nmt_extract.curves.response_curve import Place, ResponseCurve, response_curves
+from nmt_extract.curves.response_curve import PlaceKind, ResponseCurve, response_curves
 from nmt_extract.modal.table import write_results
 from nmt_laboratories.campaign_frame import command_parser
 from nmt_laboratories.epmc_by_receptance import coulomb_force
@@ -192,7 +192,7 @@ def compare(name: str, curve: dict[str, Any]) -> dict[str, Any]:
     """Largest errors of one curve."""
     balance, lag = CASES[name].balance, np.array(curve["lag"])
     errors, sigmas, wrong, unstable, missing = [], [], 0, 0, 0
-    folds = [place for place in curve["places"] if place["place"] == Place.FOLD.value]
+    folds = [place for place in curve["places"] if place["place"] == PlaceKind.FOLD.value]
     for k, place in enumerate(lag):
         force = _forces(balance, curve["harmonics"][k])
         hertz, response = curve["frequency_hz"][k], curve["response"][k]

@@ -115,7 +115,7 @@ class StudyCase:
 
     @property
     def planned(self) -> dict[str, Any]:
-        """What `plan_test` takes by the same name; of the settings of a kind of test what is no default."""
+        """What `plan_test` takes by the same name; of the settings of a kind of test what is not a default."""
         usual = {item.name: item.default for item in fields(self)}
         settings = {name: getattr(self, name) for name in _OF_KIND}
         chosen = {name: value for name, value in settings.items() if value != usual[name]}

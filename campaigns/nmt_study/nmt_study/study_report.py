@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nmt_report.html_page import Column, Row, Table, render
+from nmt_report.html_page import PageColumn, Row, Table, render
 from nmt_report.quantity_format import duration, plain, significant
 from nmt_study.study import Finding, Result, StudyOutput, StudyTable
 from nmt_study.study_table import SummaryRow
@@ -74,14 +74,14 @@ def _verdict(findings: Sequence[Finding], summary: Sequence[SummaryRow]) -> tupl
 
 
 _SUMMARY_COLUMNS = (
-    Column("Case", kind="text"),
-    Column("Levels"),
-    Column("Test: f̃", "%"),
-    Column("Test: δ̃", "%"),
-    Column("Method: f̃", "%"),
-    Column("Method: δ̃", "%"),
-    Column("Periods", "per level"),
-    Column("Note", kind="text wrap"),
+    PageColumn("Case", kind="text"),
+    PageColumn("Levels"),
+    PageColumn("Test: f̃", "%"),
+    PageColumn("Test: δ̃", "%"),
+    PageColumn("Method: f̃", "%"),
+    PageColumn("Method: δ̃", "%"),
+    PageColumn("Periods", "per level"),
+    PageColumn("Note", kind="text wrap"),
 )
 
 
@@ -105,7 +105,7 @@ def _summary_table(summary: Sequence[SummaryRow]) -> Table:
 
 
 def _own_table(table: StudyTable) -> Table:
-    columns = [Column(name, unit, "" if k else "text") for k, (name, unit) in enumerate(table.columns)]
+    columns = [PageColumn(name, unit, "" if k else "text") for k, (name, unit) in enumerate(table.columns)]
     return Table(columns, [Row(row) for row in table.rows], table.note, table.title)
 
 
@@ -116,7 +116,11 @@ def _finding_table(findings: Sequence[Finding]) -> Table | None:
     rows = [
         Row((finding.claim, finding.found, words[finding.holds]), failed=finding.holds is False) for finding in findings
     ]
-    columns = (Column("Statement", kind="text wrap"), Column("Found here", kind="text wrap"), Column("", kind="text"))
+    columns = (
+        PageColumn("Statement", kind="text wrap"),
+        PageColumn("Found here", kind="text wrap"),
+        PageColumn("", kind="text"),
+    )
     return Table(columns, rows, heading="Statements checked")
 
 
@@ -147,21 +151,21 @@ def _level_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             value = row[name]
             cells.append("—" if value is None else significant(factor * value, digits))
         body.append(Row(cells))
-    columns = [Column("Case", kind="text"), Column("Level")]
-    columns += [Column(symbol, unit) for _, symbol, unit, _, _ in _LEVEL_COLUMNS]
+    columns = [PageColumn("Case", kind="text"), PageColumn("Level")]
+    columns += [PageColumn(symbol, unit) for _, symbol, unit, _, _ in _LEVEL_COLUMNS]
     more = f"The first {_MOST_ROWS} of {len(rows)} rows; all are in study.csv." if len(rows) > _MOST_ROWS else ""
     return Table(columns, body, more)
 
 
 _CASE_COLUMNS = (
-    Column("Case", kind="text"),
-    Column("Changes of the rig", kind="text wrap"),
-    Column("Loop", kind="text wrap"),
-    Column("Window", "periods"),
-    Column("Bench time", "s"),
-    Column("× real time"),
-    Column("Case", "s"),
-    Column("EPMC folds, q in m√kg", kind="text wrap"),
+    PageColumn("Case", kind="text"),
+    PageColumn("Changes of the rig", kind="text wrap"),
+    PageColumn("Loop", kind="text wrap"),
+    PageColumn("Window", "periods"),
+    PageColumn("Bench time", "s"),
+    PageColumn("× real time"),
+    PageColumn("Case", "s"),
+    PageColumn("EPMC folds, q in m√kg", kind="text wrap"),
 )
 
 

@@ -181,7 +181,7 @@ def summary_row(result: Mapping[str, Any], rows: Sequence[Mapping[str, Any]]) ->
     if result["epmc"]["failure"] and result["epmc"]["failure"] != "not asked for":
         notes.append(f"no EPMC: {result['epmc']['failure']}")
     if result["case"].get("test", "phase_resonance") != "phase_resonance":
-        pass  # A perfect phase resonance test is no reference for another kind at the same level.
+        pass  # A perfect phase resonance test is not a reference for another kind at the same level.
     elif result["case"].get("harmonics_control"):
         pass  # Nor is one with a sine of voltage for a test with control of harmonics.
     elif result["single_point"]["failure"]:

@@ -110,7 +110,7 @@ def read_cases(folder: Path) -> list[ForeignCase]:
     """The cases of a laboratory, by name.
 
     Args:
-        folder: holds a folder for each case; what has no ``truth.yaml`` is no case.
+        folder: holds a folder for each case; what has no ``truth.yaml`` is not a case.
 
     Raises:
         BenchError: there is none, a file is missing, or a truth has a mistake.

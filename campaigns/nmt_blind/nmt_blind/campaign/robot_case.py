@@ -214,7 +214,7 @@ def _named(cause: Planted, claims: Claims) -> int:
 
 
 def _allowed_term(case: RobotCase, joint: str, key: str) -> bool:
-    """Whether a term is no false claim."""
+    """Whether a term is not a false claim."""
     return any(
         cause.joint == joint
         and (key in cause.named or key in cause.partly or (case.kind == "unknown" and key in _LEVELS))

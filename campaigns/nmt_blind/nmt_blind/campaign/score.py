@@ -192,7 +192,7 @@ def score_campaign(
 
     Raises:
         BenchError: the truth or the bags' hashes are not those that were sealed, the seal has been opened before,
-            nothing was diagnosed, or the training campaign is no development campaign.
+            nothing was diagnosed, or the training campaign is not a development campaign.
     """
     results = results or folder / "results"
     public = read_public(folder)
@@ -263,7 +263,7 @@ def compute_scores(cases: Sequence[ScoredCase], about: dict[str, Any], classifie
         case for case in cases if case.verdict == "effect" and math.isfinite(case.before) and math.isfinite(case.after)
     ]
     settled = [case for case in cases if case.verdict != "failed"]
-    # Of an effect that the recordings do not show, "none" is no wrong answer.
+    # Of an effect that the recordings do not show, "none" is not a wrong answer.
     strong_or_null = [case for case in settled if case.kind == "null" or case.sigma >= STRONG]
     stated = [case.confidence for case in strong_or_null]
     right = [case.settled_rightly for case in strong_or_null]
@@ -443,8 +443,8 @@ def _note_opening(folder: Path, seal: dict[str, Any], again: bool) -> int:
     openings = int(_read(path)["openings"]) if path.is_file() else 0
     if openings and not again:
         raise BenchError(
-            f"The seal of {folder} has been opened before; a second score is no blind check any more: add --again if "
-            "it is wanted all the same, the score sheet will say so."
+            f"The seal of {folder} has been opened before; a second score is not a blind check any more: add --again "
+            "if it is wanted all the same, the score sheet will say so."
         )
     write_whole(path, json.dumps({"openings": openings + 1}) + "\n")
     return openings + 1
@@ -465,7 +465,7 @@ def opened_truth(folder: Path) -> dict[str, Any]:
     """What is true of the cases of a campaign of development, or of a sealed one that was opened.
 
     Raises:
-        BenchError: its seal has not been opened, or it is no campaign.
+        BenchError: its seal has not been opened, or it is not a campaign.
     """
     seal = _read(folder / "seal.json")
     if seal.get("purpose") != "development" and not (folder / _OPENED_FILE).is_file():
@@ -477,7 +477,7 @@ def development_cases(folder: Path) -> tuple[ScoredCase, ...]:
     """Diagnosed cases of a campaign from which anything may be learned: of development, or sealed and opened since.
 
     Raises:
-        BenchError: its seal has not been opened, or it is no campaign.
+        BenchError: its seal has not been opened, or it is not a campaign.
     """
     seal = _read(folder / "seal.json")
     if seal.get("purpose") != "development" and not (folder / _OPENED_FILE).is_file():

@@ -185,7 +185,7 @@ def markdown(scores: Scores) -> str:
 
 
 def _heading(scores: Scores) -> str:
-    opened = f" The seal was opened {scores.openings} times: this is no first look." if scores.openings > 1 else ""
+    opened = f" The seal was opened {scores.openings} times: this is not a first look." if scores.openings > 1 else ""
     kind = "sealed" if scores.purpose == "sealed" else "development (not sealed)"
     return f"{len(scores.cases)} cases of the rig {scores.rig}, {kind}.{opened}"
 

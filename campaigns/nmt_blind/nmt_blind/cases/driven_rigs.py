@@ -67,7 +67,7 @@ _TOLERATED = {
     "clock_error": TOLERANCES.clock,
     "phase_offset": math.radians(TOLERANCES.loop_phase_deg),
 }
-"""What an ordinary chain has of an effect, in the effect's unit: what is not much larger is no fault of a rig."""
+"""What an ordinary chain has of an effect, in the effect's unit: what is not much larger is not a fault of a rig."""
 
 
 @dataclass(frozen=True)

@@ -189,7 +189,7 @@ def _claim(folder: Path, digest: str, sealed: bool) -> None:
     seal = folder / SEAL_FILE
     if not seal.is_file():
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise BenchError(f"The folder {folder} holds something that is no campaign; choose another with --out.")
+            raise BenchError(f"The folder {folder} holds something that is not a campaign; choose another with --out.")
         folder.mkdir(parents=True, exist_ok=True)
         return
     found = read_json(seal)
@@ -275,7 +275,7 @@ def read_json(path: Path) -> dict[str, Any]:
     """A JSON object.
 
     Raises:
-        BenchError: the file is not there or is no JSON object.
+        BenchError: the file is not there or is not a JSON object.
     """
     try:
         return hardened.read_json(path, "file")

@@ -24,7 +24,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import COMPLEX, MEASURED, QUANTITIES, ModalPoint
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import PointStatus
-from nmt_report.html_page import Column, Row, Table, part
+from nmt_report.html_page import PageColumn, Row, Table, part
 from nmt_report.quantity_format import significant, uncertain
 
 if TYPE_CHECKING:
@@ -160,7 +160,9 @@ class Results:
         """What a notebook shows: the main table."""
         rows = self.rows()
         names = list(rows[0]) if rows else []
-        head = [Column(name, kind="" if rows and isinstance(rows[0][name], int | float) else "text") for name in names]
+        head = [
+            PageColumn(name, kind="" if rows and isinstance(rows[0][name], int | float) else "text") for name in names
+        ]
         body = [Row([_cell(row[name]) for name in names]) for row in rows]
         return str(part("table", Table(head, body, heading=f"{type(self).__name__}: {self.folder}")))
 

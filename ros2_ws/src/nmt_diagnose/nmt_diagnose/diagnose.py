@@ -433,7 +433,7 @@ def _sentences(
         text = (*text, *from_law)
     if verdict is Verdict.UNKNOWN and not GAP(judgement.alone).passed:
         share_of_signal, whose = findings.unexplained
-        contradicts = f"The model leaves {percent(share_of_signal)} of {whose}, which is no noise."
+        contradicts = f"The model leaves {percent(share_of_signal)} of {whose}, which is not noise."
         if findings.contradiction is not None and share_of_signal < THRESHOLDS.verdict.unexplained_share:
             contradicts = f"Of the model alone {findings.contradiction.sentence}."
         begins = 1 if judgement.law is not None and judgement.law_leads else 0

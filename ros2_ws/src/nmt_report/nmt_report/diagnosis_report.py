@@ -40,7 +40,7 @@ from nmt_report.diagnosis_words import (
     sigma_text,
     verdict_text,
 )
-from nmt_report.html_page import Column, Row, Table, part
+from nmt_report.html_page import PageColumn, Row, Table, part
 from nmt_report.law_figures import law_figures, law_table
 from nmt_report.quantity_format import plain, significant
 from nmt_report.response_page import ResponsePage
@@ -269,12 +269,12 @@ def _ranking(d: Diagnosis) -> Table:
             rows.append((-1.0, Row(("in addition", text, "", "", "", ""))))
     rows.sort(key=lambda item: -item[0])
     head = (
-        Column("Probability", "among the library" if partial else "", "text"),
-        Column("Explanation", kind="text wrap"),
-        Column("Place", kind="text wrap"),
-        Column("Parameters", "± standard uncertainty", "text wrap"),
-        Column("Strength", "× its uncertainty"),
-        Column("Gap closed", "%, held-out data"),
+        PageColumn("Probability", "among the library" if partial else "", "text"),
+        PageColumn("Explanation", kind="text wrap"),
+        PageColumn("Place", kind="text wrap"),
+        PageColumn("Parameters", "± standard uncertainty", "text wrap"),
+        PageColumn("Strength", "× its uncertainty"),
+        PageColumn("Gap closed", "%, held-out data"),
     )
     note = (
         "All explanations are fitted to the same data with the model’s own parameters free; the probability weighs how "
@@ -296,7 +296,7 @@ def _places(d: Diagnosis) -> Table | None:
         ))
         for number, item in enumerate(d.where)
     ]  # fmt: skip
-    head = [Column(name, kind="text") for name in ("Place", "Most probably", "Probability")]
+    head = [PageColumn(name, kind="text") for name in ("Place", "Most probably", "Probability")]
     note = (
         "Probability: of all explanations at the place together, named and unnamed, so it is at least that of any one "
         "of them."
@@ -319,7 +319,7 @@ def _gap(d: Diagnosis) -> Table:
         if math.isfinite(value)
     ]
     held = f"Held out from the fit: {'; '.join(gap.held_out)}." if gap.held_out else "Nothing is held out from the fit."
-    return Table((Column("Residual, rms", kind="text"), Column("standard deviations", kind="text")), rows, held)
+    return Table((PageColumn("Residual, rms", kind="text"), PageColumn("standard deviations", kind="text")), rows, held)
 
 
 def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
@@ -338,15 +338,19 @@ def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
             cells.append(Markup("<b>{}</b>").format(text) if size > _LARGE else text)
             cells.append(f"{significant(_number(values, f'{key}_unit'), 3)} {unit}")
         rows.append(Row([*cells, str(values.get("rows", ""))]))
-    head = [Column("Test", kind="text"), Column("Observable", kind="text"), Column("Before", "standard deviations")]
-    head.append(Column("Before", "rms"))
+    head = [
+        PageColumn("Test", kind="text"),
+        PageColumn("Observable", kind="text"),
+        PageColumn("Before", "standard deviations"),
+    ]
+    head.append(PageColumn("Before", "rms"))
     if after:
-        head += [Column("After", "standard deviations"), Column("After", "rms")]
+        head += [PageColumn("After", "standard deviations"), PageColumn("After", "rms")]
     note = (
         f"Bold: more than {_LARGE:g} standard deviations. Predicted without the level or the test that is judged, so "
         "that an uncertain parameter shows here too."
     )
-    return Table([*head, Column("Values")], rows, note, "By observable, on held-out data")
+    return Table([*head, PageColumn("Values")], rows, note, "By observable, on held-out data")
 
 
 def remainder_table(rest: Remainder | None) -> Table | None:
@@ -359,8 +363,8 @@ def remainder_table(rest: Remainder | None) -> Table | None:
         value = f"{significant(item.rms_unit, 3)} {item.unit.replace('deg', '°')}"
         cells = [test, _observable_text(what), item.levels or "spread", _with_bar(item.share, percent(item.share))]
         rows.append(Row([*cells, significant(item.rms, 3), value]))
-    head = [Column(name, kind="text") for name in ("Test", "Observable", "Levels", "Share of the rest")]
-    head += [Column("Left", "standard deviations"), Column("Left", "rms")]
+    head = [PageColumn(name, kind="text") for name in ("Test", "Observable", "Levels", "Share of the rest")]
+    head += [PageColumn("Left", "standard deviations"), PageColumn("Left", "rms")]
     left, interval = share_with_interval(rest.share, rest.low, rest.high)
     interval = f" ({interval})" if interval else ""
     note = (
@@ -395,10 +399,10 @@ def _next(d: Diagnosis) -> Table | None:
         for item in d.next_test
     ]  # fmt: skip
     head = (
-        Column("Test", kind="text wrap"),
-        Column("Distinguishes", kind="text wrap"),
-        Column("Expected", "standard deviations"),
-        Column("Command", kind="text mono"),
+        PageColumn("Test", kind="text wrap"),
+        PageColumn("Distinguishes", kind="text wrap"),
+        PageColumn("Expected", "standard deviations"),
+        PageColumn("Command", kind="text mono"),
     )
     note = (
         "Computed ahead with the fitted explanations: by how many standard deviations the least different two of them "
@@ -430,13 +434,13 @@ def _calibration(d: Diagnosis, rig: Rig) -> Table | None:
             ))
         )  # fmt: skip
     head = (
-        Column("Key of the rig file", kind="text mono"),
-        Column("From"),
-        Column("To", "± standard uncertainty"),
-        Column("Change", "%"),
-        Column("Known beforehand to", "%"),
-        Column("Learnt from these tests", kind="text"),
-        Column("Change", "× its uncertainty"),
+        PageColumn("Key of the rig file", kind="text mono"),
+        PageColumn("From"),
+        PageColumn("To", "± standard uncertainty"),
+        PageColumn("Change", "%"),
+        PageColumn("Known beforehand to", "%"),
+        PageColumn("Learnt from these tests", kind="text"),
+        PageColumn("Change", "× its uncertainty"),
     )
     which = "with the effect in the model" if d.verdict is Verdict.EFFECT else "without any effect"
     note = (
@@ -470,13 +474,13 @@ def _residual_tests(d: Diagnosis) -> Table | None:
         )
         rows.append(Row(cells, failed=left))
     head = (
-        Column("Test of the residual", kind="text"),
-        Column("Of", kind="text"),
-        Column("Statistic"),
-        Column("Degrees of freedom"),
-        Column("p", "alone"),
-        Column("p", "all tests together"),
-        Column("Reading", kind="text"),
+        PageColumn("Test of the residual", kind="text"),
+        PageColumn("Of", kind="text"),
+        PageColumn("Statistic"),
+        PageColumn("Degrees of freedom"),
+        PageColumn("p", "alone"),
+        PageColumn("p", "all tests together"),
+        PageColumn("Reading", kind="text"),
     )
     note = (
         "Each test looks for one trace that an effect outside the library would leave in the residual of the best "
@@ -503,10 +507,10 @@ def _input_tables(d: Diagnosis) -> list[Table]:
     tables = []
     if files:
         head = (
-            Column("File", kind="text"),
-            Column("SHA-256", kind="text mono"),
-            Column("As", kind="text"),
-            Column("What made it", kind="text wrap"),
+            PageColumn("File", kind="text"),
+            PageColumn("SHA-256", kind="text mono"),
+            PageColumn("As", kind="text"),
+            PageColumn("What made it", kind="text wrap"),
         )
         tables.append(Table(head, [Row(cells) for cells in files]))
     tests = [
@@ -521,15 +525,15 @@ def _input_tables(d: Diagnosis) -> list[Table]:
     ]
     if tests:
         names = ("Kind", "Driven at", "Levels or lines", "Observables")
-        columns = (Column("Test found", kind="text"), *(Column(name) for name in names))
+        columns = (PageColumn("Test found", kind="text"), *(PageColumn(name) for name in names))
         tables.append(Table(columns, [Row(cells) for cells in tests], heading="Tests found in them"))
     if d.visible:
         weakest = [
             (effect_text(v.effect), place_text(v.place, v.detail), parameters_text(v.parameters)) for v in d.visible
         ]
         columns = (
-            Column("Effect", kind="text"), Column("Where it would show first", kind="text wrap"),
-            Column("From", "five standard deviations", "text wrap"),
+            PageColumn("Effect", kind="text"), PageColumn("Where it would show first", kind="text wrap"),
+            PageColumn("From", "five standard deviations", "text wrap"),
         )  # fmt: skip
         rows = [Row(cells) for cells in weakest]
         tables.append(Table(columns, rows, heading="The weakest that these recordings would show"))
@@ -566,15 +570,15 @@ def _candidates(d: Diagnosis) -> Table | None:
         for item in d.candidates
     ]  # fmt: skip
     head = (
-        Column("Explanation", kind="text"),
-        Column("Place"),
-        Column("ln evidence", "over no effect"),
-        Column("χ²"),
-        Column("Values"),
-        Column("Parameters", "added"),
-        Column("Strength", "× its uncertainty"),
-        Column("Converged"),
-        Column("Left out", "as", "text"),
+        PageColumn("Explanation", kind="text"),
+        PageColumn("Place"),
+        PageColumn("ln evidence", "over no effect"),
+        PageColumn("χ²"),
+        PageColumn("Values"),
+        PageColumn("Parameters", "added"),
+        PageColumn("Strength", "× its uncertainty"),
+        PageColumn("Converged"),
+        PageColumn("Left out", "as", "text"),
     )
     return Table(head, rows)
 

@@ -10,18 +10,18 @@ from markupsafe import Markup
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.vocabulary import PointStatus
-from nmt_report.html_page import Column, Row, Table
+from nmt_report.html_page import PageColumn, Row, Table
 from nmt_report.quantity_format import plain, significant
 from nmt_report.run_data import RunReportData
 
 _COLUMNS = (
-    Column("Level", kind="text"),
-    Column("Exciter at point"),
-    Column(Markup("|F<sub>1</sub>|"), "N"),
-    Column("over the first's"),
-    Column("force against its velocity", "°"),
-    Column(Markup("√Σ|F<sub>n</sub>|² / |F<sub>1</sub>|"), "%"),
-    Column("Share of the power", "%"),
+    PageColumn("Level", kind="text"),
+    PageColumn("Exciter at point"),
+    PageColumn(Markup("|F<sub>1</sub>|"), "N"),
+    PageColumn("over the first's"),
+    PageColumn("force against its velocity", "°"),
+    PageColumn(Markup("√Σ|F<sub>n</sub>|² / |F<sub>1</sub>|"), "%"),
+    PageColumn("Share of the power", "%"),
 )
 
 

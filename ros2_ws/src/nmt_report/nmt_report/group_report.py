@@ -9,7 +9,7 @@ from markupsafe import Markup, escape
 
 from nmt_core.text.number_words import value_text
 from nmt_diagnose.units.random_effects import COVERAGE
-from nmt_diagnose.units.unit_group import Quantity, UnitGroup, explanation_words
+from nmt_diagnose.units.unit_group import UnitGroup, UnitQuantity, explanation_words
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import BLUE, INK, ORANGE, ReportFigure, figure_style
@@ -76,7 +76,7 @@ def _explanations(group: UnitGroup) -> Markup:
     )
 
 
-def _by_unit(quantity: Quantity, number: int) -> ReportFigure:
+def _by_unit(quantity: UnitQuantity, number: int) -> ReportFigure:
     """Estimates of one parameter by unit with their ±, the mean, and the band of the next unit."""
     figure, axes = plot_panels((6.2, 3.4), left=0.16, right=0.98, bottom=0.16, top=0.95)
     found = quantity.components

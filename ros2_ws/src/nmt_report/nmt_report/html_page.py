@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 
 @dataclass(frozen=True)
-class Column:
+class PageColumn:
     """A column of a table.
 
     Attributes:
@@ -56,7 +56,7 @@ class Table:
         heading: above it; empty for none.
     """
 
-    columns: Sequence[Column]
+    columns: Sequence[PageColumn]
     rows: Sequence[Row]
     note: str = ""
     heading: str = ""

@@ -18,7 +18,7 @@ from nmt_diagnose.law.force_loop import ForceLoop
 from nmt_diagnose.law.law_words import formula, raised
 from nmt_diagnose.law.reading import LawReading, LocalLaw
 from nmt_diagnose.law.record_check import RecordCheck
-from nmt_report.html_page import Column, Row, Table
+from nmt_report.html_page import PageColumn, Row, Table
 from nmt_report.quantity_format import significant
 from nmt_report.svg import INK, MUTED, ORANGE, ReportFigure, level_colours, svg_text
 
@@ -195,8 +195,8 @@ def law_table(reading: LawReading) -> Table:
             strength = value_text(term.coefficient, term.std, _raised(term.unit))
             rows.append(Row((place, law.family if number == 0 else "", kind, strength)))
     head = (
-        Column("Place", kind="text"), Column("Family", kind="text wrap"), Column("Term", kind="text"),
-        Column("Strength", "± standard uncertainty"),
+        PageColumn("Place", kind="text"), PageColumn("Family", kind="text wrap"), PageColumn("Term", kind="text"),
+        PageColumn("Strength", "± standard uncertainty"),
     )  # fmt: skip
     pieces = "parts" if reading.of_record else "levels"
     note = f"Read from {reading.levels} {pieces} of {reading.test}. "

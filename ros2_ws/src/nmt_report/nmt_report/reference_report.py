@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_report.figure_parts import plot_panels, report_figure
-from nmt_report.html_page import Column, Row, Table, part
+from nmt_report.html_page import PageColumn, Row, Table, part
 from nmt_report.quantity_format import plain, significant
 from nmt_report.response_page import ResponsePage, html_figures
 from nmt_report.run_data import ReferenceCurve
@@ -150,7 +150,11 @@ def _table(reference: Reference) -> Table:
         ]
         for k in rows
     ]
-    columns = [Column("q", "m√kg", ""), Column("modal frequency", "Hz", ""), Column("modal damping ratio", "%", "")]
+    columns = [
+        PageColumn("q", "m√kg", ""),
+        PageColumn("modal frequency", "Hz", ""),
+        PageColumn("modal damping ratio", "%", ""),
+    ]
     return Table(columns, [Row(row) for row in cells], "All amplitudes are in reference.csv, the shapes in shapes.csv.")
 
 

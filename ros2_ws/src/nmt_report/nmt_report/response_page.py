@@ -9,7 +9,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nmt_report.html_page import Column, Row, Table, part, render
+from nmt_report.html_page import PageColumn, Row, Table, part, render
 from nmt_report.svg import ReportFigure
 
 _WORD = re.compile(r"(?!nan|inf)[A-Za-z]{3}")
@@ -67,7 +67,7 @@ def text_table(head: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], n
     long = [any(len(cell) > _LONG for cell in column) for column in cells]
     text = [not k or any(_WORD.search(cell) for cell in column) for k, column in enumerate(cells)]
     kinds = [("text wrap" if wide else "text") if words else "" for wide, words in zip(long, text, strict=True)]
-    columns = [Column(name, unit, kind) for (name, unit), kind in zip(head, kinds, strict=True)]
+    columns = [PageColumn(name, unit, kind) for (name, unit), kind in zip(head, kinds, strict=True)]
     return Table(columns, [Row(row) for row in rows], note)
 
 

@@ -20,7 +20,7 @@ from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.exciter_table import exciter_fact, exciter_table
-from nmt_report.html_page import Column, Row, Table, render
+from nmt_report.html_page import PageColumn, Row, Table, render
 from nmt_report.level_words import level_sentences
 from nmt_report.quantity_format import (
     duration,
@@ -244,10 +244,10 @@ def _modal_table(data: RunReportData) -> Table | None:
         return None
     points, columns = data.good_points, shown_columns(data.good_points)
     exponents = {column.name: column.exponent(points) for column in columns}
-    head = [Column("Level", unit_text(data.points[0].level_unit))]
-    head += [Column(column.heading, column.unit(exponents[column.name]) or "1") for column in columns]
+    head = [PageColumn("Level", unit_text(data.points[0].level_unit))]
+    head += [PageColumn(column.heading, column.unit(exponents[column.name]) or "1") for column in columns]
     if data.reference is not None:
-        head += [Column("Δf̃", "%"), Column("Δδ̃", "points" if feeds_its_motion(points) else "%")]
+        head += [PageColumn("Δf̃", "%"), PageColumn("Δδ̃", "points" if feeds_its_motion(points) else "%")]
     rows = []
     for point in data.points:
         cells: list[str] = [significant(point.level)]
@@ -284,8 +284,13 @@ def _budget_tables(data: RunReportData) -> list[Table]:
         sources = [s for s in UncertaintySource if any(budget.parts.get(s, 0.0) > 0.0 for _, budget in budgets)]
         if not sources:
             continue
-        columns = [Column("Level", unit), *(Column(source.value, "%") for source in sources)]
-        columns += [Column("repeatability", "%"), Column("total", "%"), Column("k"), Column("95 % interval", "± %")]
+        columns = [PageColumn("Level", unit), *(PageColumn(source.value, "%") for source in sources)]
+        columns += [
+            PageColumn("repeatability", "%"),
+            PageColumn("total", "%"),
+            PageColumn("k"),
+            PageColumn("95 % interval", "± %"),
+        ]
         rows = []
         for level, budget in budgets:
             shares = [budget.parts.get(source, math.nan) for source in sources]
@@ -313,14 +318,14 @@ def _budget_notes(data: RunReportData) -> list[str]:
 
 
 _LEVEL_COLUMNS = (
-    Column("Level", kind="text"),
-    Column("Target"),
-    Column("Start", "s"),
-    Column("Time to lock", "s"),
-    Column("Window", "periods"),
-    Column("Window", "s"),
-    Column("Whole level", "s"),
-    Column("Result", kind="text wrap"),
+    PageColumn("Level", kind="text"),
+    PageColumn("Target"),
+    PageColumn("Start", "s"),
+    PageColumn("Time to lock", "s"),
+    PageColumn("Window", "periods"),
+    PageColumn("Window", "s"),
+    PageColumn("Whole level", "s"),
+    PageColumn("Result", kind="text wrap"),
 )
 
 
@@ -353,15 +358,15 @@ def _level_table(data: RunReportData) -> Table | None:
 
 
 _HARMONICS_COLUMNS = (
-    Column("Level", kind="text"),
-    Column("Target"),
-    Column("Controlled", kind="text"),
-    Column(Markup("√Σ|F<sub>n</sub>|² / |F<sub>1</sub>|"), "%"),
-    Column("without control", "%"),
-    Column(Markup("γ<sub>F</sub>")),
-    Column("PBMIF"),
-    Column("f̃ moved by", "%"),
-    Column("δ̃ moved by", "%"),
+    PageColumn("Level", kind="text"),
+    PageColumn("Target"),
+    PageColumn("Controlled", kind="text"),
+    PageColumn(Markup("√Σ|F<sub>n</sub>|² / |F<sub>1</sub>|"), "%"),
+    PageColumn("without control", "%"),
+    PageColumn(Markup("γ<sub>F</sub>")),
+    PageColumn("PBMIF"),
+    PageColumn("f̃ moved by", "%"),
+    PageColumn("δ̃ moved by", "%"),
 )
 _ONE_EXCITER = 0.01  # deviation of damping from the reference from which on the exciter's place is named
 
@@ -470,14 +475,14 @@ def _lateness_table(data: RunReportData) -> Table | None:
         return None
     rows = [Row((name, count, significant(100.0 * count / total, 3))) for name, count in classes]
     note = "From the moment a block was put out to the plant node's turn; a converter's turn is part of it."
-    return Table((Column("Late by", kind="text"), Column("Blocks"), Column("Share", "%")), rows, note)
+    return Table((PageColumn("Late by", kind="text"), PageColumn("Blocks"), PageColumn("Share", "%")), rows, note)
 
 
 def _file_table(data: RunReportData) -> Table | None:
     if not data.files:
         return None
     rows = [Row((entry.name, file_size(entry.size), entry.sha256)) for entry in data.files]
-    return Table((Column("File", kind="text"), Column("Size"), Column("SHA-256", kind="text mono")), rows)
+    return Table((PageColumn("File", kind="text"), PageColumn("Size"), PageColumn("SHA-256", kind="text mono")), rows)
 
 
 def _settings(data: RunReportData) -> list[tuple[str, str]]:

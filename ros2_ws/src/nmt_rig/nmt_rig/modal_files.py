@@ -89,7 +89,7 @@ def read_uff55(path: Path, direction: str = "z") -> tuple[list[int], Modes]:
     try:
         found = [each.lines for each in datasets(path.read_bytes(), path.name) if each.kind == 55]
     except BenchError as error:
-        raise BadFileError(f"it is no whole universal file ({str(error).rstrip('.')})") from error
+        raise BadFileError(f"it is not a whole universal file ({str(error).rstrip('.')})") from error
     shapes = [_data_set(lines, "xyz".index(direction)) for lines in found]
     if not shapes:
         raise BadFileError("it has no data set 55 (mode shapes); export the modes as UFF 55")

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from nmt_rig.file_errors import BadFileError, KeyOfRigError
 from nmt_rig.matrix_files import read_model
-from nmt_rig.model.matrix_structure import Matrices, Part, craig_bampton, projection
+from nmt_rig.model.matrix_structure import Matrices, PartMatrix, craig_bampton, projection
 from nmt_rig.model.packed_matrix import packed
 from nmt_rig.model.regions import Rows, Support, block_of, spread_of, supported
 from nmt_rig.named_rows import NamedModel, Units
@@ -223,7 +223,7 @@ def reduced_with_regions(
             return sparse.csr_matrix(motion.T @ sparse.csr_matrix(matrix) @ motion)
 
     parts = {
-        (name, key): Part(projected(matrix), key == "mass_kg")
+        (name, key): PartMatrix(projected(matrix), key == "mass_kg")
         for name, region in regions.items()
         for key, matrix in (("stiffness_n_m", region.stiffness), ("mass_kg", region.mass))
         if matrix is not None

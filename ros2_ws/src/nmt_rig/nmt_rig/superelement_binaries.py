@@ -49,7 +49,7 @@ def _reading(form: str) -> Iterator[None]:
     except BadFileError:
         raise
     except _DAMAGED as error:
-        raise BadFileError(f"it is no whole {form} file ({error})") from error
+        raise BadFileError(f"it is not a whole {form} file ({error})") from error
 
 
 def _weighed(path: Path) -> int:

@@ -181,7 +181,7 @@ def _substructure(text: str) -> ModelPart:
         values = number_table("\n".join(lines), 1, f"its {name}")[:, 0]
         n = int((np.sqrt(8.0 * values.size + 1.0) - 1.0) / 2.0)
         if n * (n + 1) // 2 != values.size:
-            raise BadFileError(f"its {name} has {values.size} numbers, which is no triangle; it is cut off")
+            raise BadFileError(f"its {name} has {values.size} numbers, which is not a triangle; it is cut off")
         if 8 * n * n > LARGEST_ARRAYS:
             raise BadFileError(f"its {name} has {n} rows, more than are read")
         matrix = np.zeros((n, n))
@@ -366,7 +366,7 @@ def _real(word: str) -> float:
     except ValueError:
         value = float(_BARE_EXPONENT.sub(r"E\1", word.upper().replace("D", "E")))
     if not math.isfinite(value):
-        raise ValueError(f"{word} is no finite number")
+        raise ValueError(f"{word} is not a finite number")
     return value
 
 
@@ -424,7 +424,7 @@ def read_dmig(path: Path) -> ModelPart:
     # 1 and 6 are square and symmetric forms; rectangular and complex ones are loads and gains.
     chosen = matrix_names([name for name in found if forms.get(name, 0) in (1, 6)])
     if any(not -(10**14) < row < 10**14 for name in chosen.values() for rows in found[name][:2] for row in rows):
-        raise BadFileError("a DMIG card names a node that is no node")
+        raise BadFileError("a DMIG card names a node that is not a node")
     entries = {}
     for quantity, name in chosen.items():
         entry_rows, entry_columns, entry_values = found[name]

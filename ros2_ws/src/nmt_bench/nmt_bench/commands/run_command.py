@@ -48,7 +48,9 @@ def _harmonics(text: str) -> int | str:
     try:
         return int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is no number of harmonics; give one from 2 on, auto or 0") from None
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is not a number of harmonics; give one from 2 on, auto or 0"
+        ) from None
 
 
 def _lags(text: str) -> tuple[float, float]:

@@ -21,7 +21,7 @@ LONGEST_TEXT = 200
 _MOST_ENTRIES = 20_000
 
 
-class Budget:
+class EntryBudget:
     """Bytes and entries that a file may still claim."""
 
     def __init__(self, largest: int) -> None:
@@ -51,22 +51,22 @@ def numbers_of(file: Any, largest: int) -> dict[str, np.ndarray[Any, Any]]:
     """Arrays of an open file by the path of their name; sparse ones as data, indices, indptr and shape of their rows.
 
     Raises:
-        Exception: whatever scipy raises, and as :class:`Budget`.
+        Exception: whatever scipy raises, and as :class:`EntryBudget`.
     """
     from scipy.io import loadmat, whosmat
     from scipy.io.matlab import matfile_version
 
     if matfile_version(file)[0] != 1:
         raise ValueError("its header is not that of version 5")
-    stated = Budget(largest)
+    stated = EntryBudget(largest)
     for _, shape, kind in whosmat(file):
         stated.take(int(np.prod(shape, dtype=object)) if kind.startswith(("int", "uint", "single", "double")) else 0)
-    budget = Budget(largest)
+    budget = EntryBudget(largest)
     content = {name: value for name, value in loadmat(file).items() if not name.startswith("__")}
     return {path: array for name in content for path, array in _members(content[name], name, 0, budget)}
 
 
-def _members(value: Any, path: str, depth: int, budget: Budget) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
+def _members(value: Any, path: str, depth: int, budget: EntryBudget) -> Iterator[tuple[str, np.ndarray[Any, Any]]]:
     """Path and array of every number and every short text in a variable or member; objects are left out."""
     from scipy import sparse
     from scipy.io.matlab import MatlabFunction, MatlabObject, MatlabOpaque

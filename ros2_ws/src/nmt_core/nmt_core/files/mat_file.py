@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import LARGEST_ARRAYS, open_regular, read_arrays
 from nmt_core.files.limited_child import ChildError, run_limited
-from nmt_core.files.mat_child import DEEPEST, LONGEST_TEXT, Budget, numbered
+from nmt_core.files.mat_child import DEEPEST, LONGEST_TEXT, EntryBudget, numbered
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 MAT5 = b"MATLAB 5.0"
@@ -141,7 +141,7 @@ def _plain(value: Any) -> str | float | None:
 def _read_hdf5(path: Path, what: str, largest: int, texts: dict[str, str] | None) -> dict[str, Array]:
     import h5py
 
-    budget = Budget(largest)
+    budget = EntryBudget(largest)
     found: dict[str, Array] = {}
 
     def attributes(entry: Any, prefix: str) -> None:

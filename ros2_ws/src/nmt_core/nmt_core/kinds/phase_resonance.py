@@ -66,7 +66,7 @@ def _highest(asked: Any) -> int:
     try:
         highest = int(asked)
     except ValueError:
-        raise BenchError(f"Harmonics to be controlled: '{asked}' is no number; give a number or auto.") from None
+        raise BenchError(f"Harmonics to be controlled: '{asked}' is not a number; give a number or auto.") from None
     if highest == AUTOMATIC:  # the message's number for auto, and no harmonic of a person
         raise BenchError(_not_so_many(highest))
     return highest

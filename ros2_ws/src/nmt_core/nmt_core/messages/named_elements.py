@@ -194,7 +194,7 @@ def _lack(parts: Sequence[str], kind: str, fields_of: Callable[[str], Mapping[st
         if "/" in described:
             return _lack(left, _full(described), fields_of)
         if left or _NO_NUMBER.match(described):
-            why = f"has no '{left[0]}'" if left else "is no number"
+            why = f"has no '{left[0]}'" if left else "is not a number"
             return f"field '{name}' of {kind} is a {described} and {why}"
         return ""
     element = array["inner"] or array["element"]

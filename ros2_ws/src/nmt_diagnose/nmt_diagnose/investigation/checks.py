@@ -54,7 +54,7 @@ def none_contradicted(observations: Observations, predicted: FloatArray, matters
                     name = "" if channel < 0 else test.channels[channel].name
                     return (
                         f"Between the lowest and the highest levels {words.format(name)} moves by "
-                        f"{100.0 * abs(change):.2g} % more than the model says, which is no noise."
+                        f"{100.0 * abs(change):.2g} % more than the model says, which is not noise."
                     )
     return ""
 

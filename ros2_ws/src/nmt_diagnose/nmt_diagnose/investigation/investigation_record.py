@@ -185,7 +185,7 @@ def read_record(folder: Path) -> InvestigationRecord | None:
         return InvestigationRecord(**{**kept, **lists, "tests": tests, "turns": turns})
     except (BenchError, KeyError, TypeError, ValueError) as error:
         raise BenchError(
-            f"{path} is no record of an investigation that can be gone on with ({error}); give another folder with "
+            f"{path} is not a record of an investigation that can be gone on with ({error}); give another folder with "
             "--out."
         ) from error
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.law.law_search import Candidate, LawSearch
+from nmt_diagnose.law.law_search import LawCandidate, LawSearch
 from nmt_diagnose.law.modal_frame import ORDERS
 from nmt_diagnose.law.terms import SAMPLES, sampled
 
@@ -38,7 +38,7 @@ class ForceLoop:
     line: tuple[tuple[float, ...], ...] = ()
 
 
-def force_loops(search: LawSearch, candidate: Candidate, number: int) -> tuple[ForceLoop, ...]:
+def force_loops(search: LawSearch, candidate: LawCandidate, number: int) -> tuple[ForceLoop, ...]:
     """Loops of a law at a few levels, the lowest and the highest among them.
 
     Args:

@@ -45,7 +45,7 @@ Parts = tuple[tuple[LawPlace, Block], ...]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LawCandidate:
     """Blocks at places with their fit.
 
     Attributes:
@@ -138,7 +138,7 @@ class LawSearch:
         rows = self.rows.whitened(self.rows.of_force(place.participation, made))
         return np.moveaxis(rows, 0, -1)
 
-    def found(self, first: Candidate | None = None) -> list[Candidate]:
+    def found(self, first: LawCandidate | None = None) -> list[LawCandidate]:
         """Laws, one or a first one with another, each along the motion that it makes; by score."""
         forces, motions = self.forces(first) if first else [], {}
         for place in self.places:
@@ -186,10 +186,10 @@ class LawSearch:
         named = {place.name: place for place in self.places}
         return tuple((named[one.place], one.block) for one in chosen.causes if isinstance(one, BlockColumns))
 
-    def _candidate(self, parts: Parts, motions: tuple[ComplexArray, ...], problem: ConvexFit) -> Candidate:
+    def _candidate(self, parts: Parts, motions: tuple[ComplexArray, ...], problem: ConvexFit) -> LawCandidate:
         """A law along motions of its places with its fit."""
         columns = self.law_columns(parts, motions)
-        return Candidate(parts, problem.solve(columns, signed([block for _, block in parts])), motions)
+        return LawCandidate(parts, problem.solve(columns, signed([block for _, block in parts])), motions)
 
     def law_columns(self, parts: Parts, motions: tuple[ComplexArray, ...]) -> FloatArray:
         """Whitened columns (L, M, k) of all terms of parts along motions of their places."""
@@ -199,7 +199,7 @@ class LawSearch:
         ]
         return np.concatenate(each, axis=2)
 
-    def forces(self, candidate: Candidate) -> Forces:
+    def forces(self, candidate: LawCandidate) -> Forces:
         """Forces of a law along the motion of its places."""
         result, used = [], 0
         for (place, block), motion in zip(candidate.parts, candidate.motions, strict=True):
@@ -210,7 +210,7 @@ class LawSearch:
             result.append((place.participation, harmonics(total)))
         return result
 
-    def again(self, candidate: Candidate, refined: bool = True) -> Candidate:
+    def again(self, candidate: LawCandidate, refined: bool = True) -> LawCandidate:
         """A law read along the motion that it makes, its parameters refined."""
         best = candidate
         for turn in range(MOTION_ROUNDS):
@@ -234,7 +234,7 @@ class LawSearch:
                 break
         return best
 
-    def refitted(self, parts: Parts) -> Candidate:
+    def refitted(self, parts: Parts) -> LawCandidate:
         """The strengths of a law whose places and terms are known, along the motion that it makes.
 
         Raises:
@@ -243,7 +243,7 @@ class LawSearch:
         motions = tuple(self.motion(place, []) for place, _ in parts)
         return self.again(self._candidate(parts, motions, self.basis), refined=False)
 
-    def _moved(self, candidate: Candidate, number: int, forces: Forces) -> ComplexArray:
+    def _moved(self, candidate: LawCandidate, number: int, forces: Forces) -> ComplexArray:
         """Motion of a place under the forces of a law, its mean by a step of Newton's method.
 
         On a soft suspension the mean force moves the place by more than it fell off by: repeated alone it diverges.
@@ -267,7 +267,7 @@ def moves_enough(sizes: FloatArray) -> BoolArray:
     return np.asarray(sizes > THRESHOLDS.law.least_motion_share * sizes.max())
 
 
-def fewest(found: Sequence[Candidate]) -> Candidate:
+def fewest(found: Sequence[LawCandidate]) -> LawCandidate:
     """Of the laws whose score is near the best, the one of fewest elements; of these the best."""
     least = min(candidate.score for candidate in found) * THRESHOLDS.law.alike_score_ratio
     near = [candidate for candidate in found if candidate.score <= least]

@@ -14,7 +14,7 @@ from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop, force_loops
 from nmt_diagnose.law.law_blocks import Block, signed
 from nmt_diagnose.law.law_rows import LawRows
-from nmt_diagnose.law.law_search import Candidate, LawSearch, UnboundedMotionError, fewest
+from nmt_diagnose.law.law_search import LawCandidate, LawSearch, UnboundedMotionError, fewest
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.record_check import RecordCheck
@@ -256,7 +256,7 @@ def _read(search: LawSearch, levels: HeldLevels) -> LawReading:
     )  # fmt: skip
 
 
-def _with_second(search: LawSearch, first: Candidate) -> Candidate:
+def _with_second(search: LawSearch, first: LawCandidate) -> LawCandidate:
     """Adds a second law if it improves the score, or if the first needs implausible nuisance parameters."""
     limits = THRESHOLDS.law
     if not _pulled(first) and first.score <= limits.second_from_score:
@@ -268,14 +268,14 @@ def _with_second(search: LawSearch, first: Candidate) -> Candidate:
     return fewest(pairs) if pairs else first
 
 
-def _is_better(pair: Candidate, first: Candidate, ratio: float) -> bool:
+def _is_better(pair: LawCandidate, first: LawCandidate, ratio: float) -> bool:
     """Whether the score falls to a ratio by a second law, or it takes off a pull that the first alone needs."""
     if pair.score <= ratio * first.score:
         return True
     return pair.score < first.score and bool(_pulled(first)) and not _pulled(pair)
 
 
-def _stds(candidate: Candidate) -> FloatArray:
+def _stds(candidate: LawCandidate) -> FloatArray:
     """Standard uncertainties of all coefficients, (k,): 0 of those that do not act."""
     m = candidate.fit.nuisance.size
     result = np.zeros(candidate.fit.coefficients.size)
@@ -293,7 +293,7 @@ def closed_share(before: float, after: float) -> float:
     return (before - max(after, 1.0)) / (before - 1.0)
 
 
-def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
+def _above(search: LawSearch, best: LawCandidate) -> tuple[float, float]:
     """rms of the top two levels as a fit to those below predicts them, without and with the law."""
     count = search.rows.levels.count
     top = [count - 2, count - 1]
@@ -308,7 +308,7 @@ def _above(search: LawSearch, best: Candidate) -> tuple[float, float]:
     )
 
 
-def _slipping(search: LawSearch, best: Candidate, count: int) -> BoolArray:
+def _slipping(search: LawSearch, best: LawCandidate, count: int) -> BoolArray:
     """Terms of a law that its lowest levels determine, (k,): of many sliders those that slip there.
 
     A slider that sticks is a spring at these levels, and several such cannot be distinguished.
@@ -322,7 +322,7 @@ def _slipping(search: LawSearch, best: Candidate, count: int) -> BoolArray:
     return np.array(result, bool)
 
 
-def _refusals(best: Candidate, before: float, closed_above: float) -> tuple[str, ...]:
+def _refusals(best: LawCandidate, before: float, closed_above: float) -> tuple[str, ...]:
     limits, result = THRESHOLDS.law, []
     if best.score > limits.told_score_ratio * before:
         result.append(f"with it {100.0 * best.score / before:.0f} % of the misfit stay; half is asked for")
@@ -334,7 +334,7 @@ def _refusals(best: Candidate, before: float, closed_above: float) -> tuple[str,
     return tuple(result)
 
 
-def _pulled(best: Candidate) -> list[str]:
+def _pulled(best: LawCandidate) -> list[str]:
     """Errors of chain and model that a law needs and that are not ordinarily so large."""
     return [
         f"{name} ({value:+.1f} σ)"
@@ -343,7 +343,7 @@ def _pulled(best: Candidate) -> list[str]:
     ]
 
 
-def _acting(best: Candidate, number: int) -> list[tuple[Term, float, float]]:
+def _acting(best: LawCandidate, number: int) -> list[tuple[Term, float, float]]:
     """Terms of a part that act, with coefficient and standard uncertainty."""
     terms = best.parts[number][1].terms
     start = sum(len(one.terms) for _, one in best.parts[:number])
@@ -351,7 +351,7 @@ def _acting(best: Candidate, number: int) -> list[tuple[Term, float, float]]:
     return [(term, float(c), float(s)) for term, c, s in zip(terms, values, std, strict=True) if c != 0.0]
 
 
-def _law(search: LawSearch, best: Candidate, number: int, finalists: Sequence[Candidate]) -> LocalLaw:
+def _law(search: LawSearch, best: LawCandidate, number: int, finalists: Sequence[LawCandidate]) -> LocalLaw:
     place, acting = best.parts[number][0], _acting(best, number)
     family_words = family([(term, c) for term, c, _ in acting])
     motion: ComplexArray = best.motions[number]

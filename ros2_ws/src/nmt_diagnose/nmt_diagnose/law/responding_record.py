@@ -41,7 +41,7 @@ from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.record_kernel import SteppedModel, Steps, _coordinate_forces, _room
+from nmt_diagnose.prediction.record_kernel import SteppedModel, StepWork, _coordinate_forces, _room
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_diagnose.prediction.timed_elements import TimedTables
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -381,7 +381,7 @@ def _forces_along(
 ) -> FloatArray:
     """Forces (r, n) of local elements along a known motion (r, n)."""
     r = x.shape[0]
-    steps: Steps = _room(still, r, elements.jenkins.shape[0], timed.kinds.size)
+    steps: StepWork = _room(still, r, elements.jenkins.shape[0], timed.kinds.size)
     result = np.zeros(x.shape)
     for n in range(x.shape[1]):
         for i in range(r):

@@ -171,7 +171,7 @@ def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedS
     others = (it for it in comparison.classes if it is not single)
     if single.objections:
         return replace(comparison, classes=(replace(single, given_library=acts), *others))
-    # It leaves nothing that matters and closes as much: the second effect is no part of the answer.
+    # It leaves nothing that matters and closes as much: the second effect is not a part of the answer.
     unknown = max(0.0, 1.0 - acts - comparison.none)
     labels = {NULL: comparison.none, UNKNOWN: unknown, single.head.explanation.label: acts}
     first = replace(single, probability=acts, given_library=acts)

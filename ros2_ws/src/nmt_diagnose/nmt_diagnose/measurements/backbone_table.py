@@ -31,7 +31,7 @@ from nmt_diagnose.measurements.measurement import (
     empty,
     joined,
 )
-from nmt_diagnose.observations.bag_windows import BagWindows, Window
+from nmt_diagnose.observations.bag_windows import BagWindow, BagWindows
 from nmt_diagnose.observations.model_view import ModelView, nearest_ratio
 from nmt_diagnose.observations.noise.scatter import neighbour_cubics
 from nmt_diagnose.observations.observables import Part, Place, Rows
@@ -285,7 +285,7 @@ def unforced_observations(bag: BagWindows) -> list[Observations]:
     return [found]
 
 
-def _backbone(name: str, windows: Sequence[Window], bag: BagWindows) -> Observations:
+def _backbone(name: str, windows: Sequence[BagWindow], bag: BagWindows) -> Observations:
     """Rows of a backbone, one a window: frequency of the motion at the amplitude of its fundamental, and no damping.
 
     At phase resonance, forced or in a limit cycle, that is the frequency of the nonlinear mode; the power that it takes

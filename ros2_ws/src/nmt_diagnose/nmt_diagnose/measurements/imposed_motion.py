@@ -28,7 +28,7 @@ from nmt_diagnose.measurements.driven_record import (
     white_noise,
 )
 from nmt_diagnose.measurements.measurement import LevelSeries, Observations, Record, RowTable, empty, joined
-from nmt_diagnose.observations.bag_windows import BagWindows, Window
+from nmt_diagnose.observations.bag_windows import BagWindow, BagWindows
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part, Place, Rows
@@ -250,7 +250,7 @@ _PASSED = 4.0  # frequency at which the polynomials halve the power over the hig
 _MOTION_UNITS = {motion.unit for motion in MOTIONS}
 
 
-def imposed_channel(window: Window, view: ModelView) -> MeasuredChannel | None:
+def imposed_channel(window: BagWindow, view: ModelView) -> MeasuredChannel | None:
     """The recorded motion of the drive point, the least differentiated; None without it or a force to predict."""
     stretch = window.stretch
     if isinstance(view.rig.exciter, ShakingTableSection) or len(view.rig.all_exciters) > 1:
@@ -262,7 +262,7 @@ def imposed_channel(window: Window, view: ModelView) -> MeasuredChannel | None:
     return usable[0] if usable and force is not None and force.name not in stretch.faults else None
 
 
-def reason_for_imposed(window: Window, view: ModelView) -> str:
+def reason_for_imposed(window: BagWindow, view: ModelView) -> str:
     """Why the motion of a window is taken as what was held, a clause; empty where it is not.
 
     It is where the sidecar says so. Where it says nothing, it is where the motion has no part in any vibration of the
@@ -305,7 +305,7 @@ def imposed_motion_observations(bag: BagWindows) -> list[Observations]:
     return [joined([empty(_decisions(name, windows, bag.view)), *parts])]
 
 
-def _decisions(name: str, windows: Sequence[Window], view: ModelView) -> list[str]:
+def _decisions(name: str, windows: Sequence[BagWindow], view: ModelView) -> list[str]:
     """One sentence for each reason by which motions are taken as imposed."""
     reasons = dict.fromkeys((reason_for_imposed(w, view), imposed_channel(w, view)) for w in windows)
     return [
@@ -318,7 +318,7 @@ def _decisions(name: str, windows: Sequence[Window], view: ModelView) -> list[st
 
 def _one(
     name: str,
-    window: Window,
+    window: BagWindow,
     view: ModelView,
     channels: dict[str, MeasuredChannel],
     settings: ObservationSettings,

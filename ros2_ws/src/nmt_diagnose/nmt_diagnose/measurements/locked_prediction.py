@@ -129,7 +129,7 @@ class PeriodicLevels(Predictor):
         quantity = self.channels[self.response].quantity
         if quantity not in MOTIONS:
             raise BenchError(
-                f"test {test.name}: the loop controlled the phase of {test.response_channel}, which is no motion."
+                f"test {test.name}: the loop controlled the phase of {test.response_channel}, which measures no motion."
             )
         self.power = 1 - MOTIONS[quantity]
         self.use(Setup(test.drive_points, self.ideal_force, self.channels, self.basis))

@@ -23,7 +23,7 @@ from nmt_diagnose.measurements.locked_windows import (
     without_hold,
 )
 from nmt_diagnose.measurements.measurement import LockedLevel, Observations, RowTable, empty, locked_levels
-from nmt_diagnose.observations.bag_windows import BagWindows, Window
+from nmt_diagnose.observations.bag_windows import BagWindow, BagWindows
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import moderated
@@ -84,7 +84,7 @@ def locked_windows_of(bag: BagWindows) -> list[Observations]:
     return found
 
 
-def phase_resonance_observations(name: str, windows: Sequence[Window], bag: BagWindows) -> Observations:
+def phase_resonance_observations(name: str, windows: Sequence[BagWindow], bag: BagWindows) -> Observations:
     """Observables of locked windows of one bag.
 
     Stepped-sine windows near resonance count as locked windows without control of the phase: they have no row for the
@@ -136,7 +136,7 @@ def phase_resonance_observations(name: str, windows: Sequence[Window], bag: BagW
 
 
 def _levels(
-    name: str, windows: Sequence[Window], bag: BagWindows, notes: list[str]
+    name: str, windows: Sequence[BagWindow], bag: BagWindows, notes: list[str]
 ) -> tuple[list[LockedWindow], list[LockedLevel]]:
     """Windows that can be used, with their harmonics, and their conditions; sentences on the others into ``notes``."""
     analysed: list[LockedWindow] = []

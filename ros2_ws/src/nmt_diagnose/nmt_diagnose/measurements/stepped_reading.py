@@ -21,7 +21,7 @@ from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows import LockedWindow, analyse_window
 from nmt_diagnose.measurements.measurement import Observations, RowTable, empty, joined
 from nmt_diagnose.measurements.stepped_responses import SteppedResponses
-from nmt_diagnose.observations.bag_windows import BagWindows, Window
+from nmt_diagnose.observations.bag_windows import BagWindow, BagWindows
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.noise.scatter import neighbour_cubics
 from nmt_diagnose.observations.observables import Part, Place
@@ -50,7 +50,7 @@ def swept_responses_of(bag: BagWindows) -> list[Observations]:
     return [stepped_sine_observations(bag.named(kind), bag.of_kind(kind), bag) for kind in swept]
 
 
-def stepped_sine_observations(name: str, windows: Sequence[Window], bag: BagWindows) -> Observations:
+def stepped_sine_observations(name: str, windows: Sequence[BagWindow], bag: BagWindows) -> Observations:
     """Observables of stepped-sine windows: a test for each level and direction, of response curves for each curve.
 
     The level of a line is its measured force, whatever was held. Lines of stepped sines on both sides of a jump are
@@ -292,7 +292,7 @@ def require_base(together: TablesTogether) -> None:
         point = together.channels[0].point
         raise BenchError(
             f"{together.name}: its responses are over the acceleration of the base, but the exciter of the model "
-            f"{together.view.rig.name} is no shaking table; write exciter: {{kind: shaking_table, point: {point}}}."
+            f"{together.view.rig.name} is not a shaking table; write exciter: {{kind: shaking_table, point: {point}}}."
         )
 
 

@@ -277,8 +277,8 @@ class SteppedSinePredictor(Predictor):
         """
         if self.test.reference == "base" and not isinstance(rig.exciter, ShakingTableSection):
             raise BenchError(
-                f"test {self.test.name} is over the acceleration of the base, but the exciter of rig {rig.name} is no "
-                "shaking table; write exciter: {kind: shaking_table, point: …} in the model."
+                f"test {self.test.name} is over the acceleration of the base, but the exciter of rig {rig.name} is "
+                "not a shaking table; write exciter: {kind: shaking_table, point: …} in the model."
             )
         return cache.parts(rig, self.setup)
 

@@ -27,7 +27,7 @@ LOCKED = (TestKind.PHASE_RESONANCE, TestKind.STEPPED_SINE, TestKind.RESPONSE_CUR
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
+class BagWindow:
     """A window, its samples, and what the sidecar says was held in it; empty where it says nothing."""
 
     segment: Segment
@@ -70,7 +70,7 @@ class BagWindows:
     channels: dict[str, MeasuredChannel]
     of_decays: dict[str, MeasuredChannel]
     sample_rate: float
-    windows: list[Window]
+    windows: list[BagWindow]
     notes: list[str] = field(default_factory=list)
     _trusted: bool = False
 
@@ -104,7 +104,7 @@ class BagWindows:
                 where = f"{name}: level {segment.level_index}"
                 notes.append(f"{where} is left out: the bag has no samples of its window, or hardly any.")
             else:
-                windows.append(Window(segment, stretch, held.get(segment.level_index, "")))
+                windows.append(BagWindow(segment, stretch, held.get(segment.level_index, "")))
         if not windows:
             return None
         recorded = tuple({c.name: c for window in windows for c in window.stretch.channels}.values())
@@ -151,11 +151,11 @@ class BagWindows:
 
     # -- what the kinds ask for ----------------------------------------------------------------------------------------
 
-    def take(self, windows: Sequence[Window]) -> None:
+    def take(self, windows: Sequence[BagWindow]) -> None:
         """Take windows out, so that no other kind reads them."""
         self.windows = [window for window in self.windows if window not in windows]
 
-    def of_kind(self, kind: TestKind) -> list[Window]:
+    def of_kind(self, kind: TestKind) -> list[BagWindow]:
         """Windows of a kind of test, in time."""
         return [window for window in self.windows if window.segment.kind is kind]
 
@@ -163,11 +163,11 @@ class BagWindows:
         """Name of the test that the windows of a kind are."""
         return f"{self.name}/{kind.label}" if len({window.segment.kind for window in self.windows}) > 1 else self.name
 
-    def part_named(self, windows: Sequence[Window], words: str) -> str:
+    def part_named(self, windows: Sequence[BagWindow], words: str) -> str:
         """Name of the test that some of the windows are, whatever their kind."""
         return f"{self.name}/{words}" if len(windows) < len(self.windows) else self.name
 
-    def each(self, kinds: Iterable[TestKind]) -> Iterator[tuple[str, Window]]:
+    def each(self, kinds: Iterable[TestKind]) -> Iterator[tuple[str, BagWindow]]:
         """Windows of some kinds that are a test each, with its name; what is clipped or lost in them is noted."""
         for kind in kinds:
             windows = self.of_kind(kind)

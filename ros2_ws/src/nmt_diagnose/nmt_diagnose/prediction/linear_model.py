@@ -73,7 +73,7 @@ class OutputRows:
 
 
 @dataclass(frozen=True)
-class ModalFrame:
+class PoleFrame:
     """Where the poles of a system come from, to follow them when it changes a little.
 
     Attributes:
@@ -108,7 +108,7 @@ class LinearModel:
     acceleration: ComplexArray
     inputs: ComplexArray
     feedthrough: ComplexArray
-    frame: ModalFrame | None = None
+    frame: PoleFrame | None = None
 
     @cached_property
     def tables(self) -> LinearTables:
@@ -251,7 +251,7 @@ def linear_model(
     full[:mechanical] = shapes @ right[:size]
     full[mechanical:] = right[2 * size :]
     exact = basis is None and squares[0] > softest
-    frame = ModalFrame(shapes, squares, right.astype(np.complex128), left, full) if exact else None
+    frame = PoleFrame(shapes, squares, right.astype(np.complex128), left, full) if exact else None
     shares: ComplexArray = left @ b.astype(np.complex128)
     return _with_outputs(poles.astype(np.complex128), full, shares, rows, frame)
 
@@ -326,7 +326,7 @@ def moved_model(
 
 
 def _with_outputs(
-    poles: ComplexArray, full: ComplexArray, inputs: ComplexArray, rows: OutputRows, frame: ModalFrame | None
+    poles: ComplexArray, full: ComplexArray, inputs: ComplexArray, rows: OutputRows, frame: PoleFrame | None
 ) -> LinearModel:
     return LinearModel(
         poles,

@@ -74,7 +74,7 @@ class Limits(NamedTuple):
     largest_step: float = 0.05
 
 
-class Transfers(NamedTuple):
+class OrderTransfers(NamedTuple):
     """T of the linear part at every order.
 
     Attributes:
@@ -204,8 +204,8 @@ def forces_of(z: FloatArray, closing: Closing, targets: FloatArray, rig: RigTabl
 def transfers(
     z: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, acting: np.ndarray, rig: RigTables,
     sloped: bool,
-) -> Transfers:  # fmt: skip
-    """T at every order that acts; arguments as of `Transfers` and :func:`balance`."""
+) -> OrderTransfers:  # fmt: skip
+    """T at every order that acts; arguments as of `OrderTransfers` and :func:`balance`."""
     model, orders = rig.model, rig.local.orders
     omega, decay = motion_of(z, closing, targets)
     outputs, columns = model.feedthrough.shape
@@ -218,7 +218,7 @@ def transfers(
             every = closing.kind == LOCKED or n == FUNDAMENTAL
             # Most orders are not driven, and the response to the drive is not wanted.
             add_response(s, model, n, outputs if every else r, columns if np.any(drive[n]) else r, values, slopes)
-    return Transfers(acting, values, slopes)
+    return OrderTransfers(acting, values, slopes)
 
 
 @njit(cache=True)
@@ -233,7 +233,7 @@ def acting_orders(drive: ComplexArray, g: FloatArray, rig: RigTables, varying: b
 
 @njit(cache=True)
 def amplitude_of_drive(
-    z: FloatArray, g: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, t: Transfers
+    z: FloatArray, g: FloatArray, closing: Closing, targets: FloatArray, drive: ComplexArray, t: OrderTransfers
 ) -> complex:
     """The amplitude a; of a free motion what would hold the amplitude of the channel."""
     last, r = z.size - 1, g.shape[0]
@@ -249,7 +249,7 @@ def amplitude_of_drive(
 @njit(cache=True, forceinline=True)
 def set_slopes(
     column: ComplexArray, o: int, n: int, order: int, a: complex, a_slopes: ComplexArray, by: tuple[complex, complex],
-    forces: Forces, drive: ComplexArray, t: Transfers,
+    forces: Forces, drive: ComplexArray, t: OrderTransfers,
 ) -> None:  # fmt: skip
     """Slopes (nz,) of output o at one order for those of the amplitude of the drive.
 
@@ -274,7 +274,7 @@ def set_slopes(
 
 @njit(cache=True)
 def drive_slopes(
-    a: complex, forces: Forces, closing: Closing, by: tuple[complex, complex], drive: ComplexArray, t: Transfers
+    a: complex, forces: Forces, closing: Closing, by: tuple[complex, complex], drive: ComplexArray, t: OrderTransfers
 ) -> ComplexArray:
     """Derivatives (nz,) of :func:`amplitude_of_drive` by the unknowns."""
     r, size = forces.amounts.shape
@@ -343,7 +343,7 @@ def close_slopes(
 
 @njit(cache=True)
 def balance(
-    z: FloatArray, forces: Forces, closing: Closing, targets: FloatArray, drive: ComplexArray, t: Transfers,
+    z: FloatArray, forces: Forces, closing: Closing, targets: FloatArray, drive: ComplexArray, t: OrderTransfers,
     rig: RigTables,
 ) -> Balance:  # fmt: skip
     """The balance for known local forces and transfers.

@@ -46,7 +46,7 @@ class SteppedModel(NamedTuple):
     direct: FloatArray
 
 
-class Steps(NamedTuple):
+class StepWork(NamedTuple):
     """What the steps of r coordinates carry from one to the next, and work space.
 
     Attributes:
@@ -80,7 +80,7 @@ class Steps(NamedTuple):
 
 
 @njit(cache=True)
-def _room(model: SteppedModel, r: int, sliders: int, timed: int) -> Steps:
+def _room(model: SteppedModel, r: int, sliders: int, timed: int) -> StepWork:
     """At rest."""
     outputs, velocities, late = model.outputs, model.velocities, model.late
     count = late.shape[0]
@@ -90,7 +90,7 @@ def _room(model: SteppedModel, r: int, sliders: int, timed: int) -> Steps:
             for k in range(count):
                 dw[i, j] += (outputs[i, k] * late[k, j]).real
                 dv[i, j] += (velocities[i, k] * late[k, j]).real
-    return Steps(
+    return StepWork(
         np.zeros(sliders), np.zeros(sliders), np.zeros((timed, 3)), np.zeros((timed, 3)), np.zeros(r), np.zeros(r),
         np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros(r), np.zeros((r, r)), np.zeros((r, r)), dw, dv,
         np.zeros((r, r + 1)),
@@ -99,7 +99,7 @@ def _room(model: SteppedModel, r: int, sliders: int, timed: int) -> Steps:
 
 @loop_step
 def _coordinate_forces(
-    steps: Steps, factor: FloatArray, elements: ElementTables, timed: TimedTables, step: int
+    steps: StepWork, factor: FloatArray, elements: ElementTables, timed: TimedTables, step: int
 ) -> None:
     """Forces (r,) of the coordinates at ``w`` and ``v`` and their tangents (r, r); ``moved`` gets the sliders."""
     jenkins, jenkins_start, contacts, contacts_start, kinds, parameters, sampled_start = elements
@@ -155,7 +155,7 @@ def _coordinate_forces(
 
 
 @loop_step
-def _newton_step(steps: Steps) -> None:
+def _newton_step(steps: StepWork) -> None:
     """Adds (1 + K dw + C dv)⁻¹ (g − trial) to ``trial``, by elimination with pivots: r is small."""
     g, trial, dw, dv, a = steps.g, steps.trial, steps.dw, steps.dv, steps.system
     kw, kv = steps.by_displacement, steps.by_velocity
@@ -189,7 +189,7 @@ def _newton_step(steps: Steps) -> None:
 
 @loop_step
 def _solve_forces(
-    steps: Steps, largest: float, factor: FloatArray, elements: ElementTables, timed: TimedTables, step: int
+    steps: StepWork, largest: float, factor: FloatArray, elements: ElementTables, timed: TimedTables, step: int
 ) -> None:
     """Forces (r,) at the end of a step by Newton's method from those tried; ``largest`` is that of all steps so far."""
     g, trial, w, v, dw, dv = steps.g, steps.trial, steps.w, steps.v, steps.dw, steps.dv

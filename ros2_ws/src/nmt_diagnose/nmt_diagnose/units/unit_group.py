@@ -35,7 +35,7 @@ class UnitDiagnosis:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class UnitQuantity:
     """A parameter of the model or of an effect over the units.
 
     Attributes:
@@ -70,7 +70,7 @@ class UnitGroup:
 
     units: tuple[str, ...]
     explanations: tuple[tuple[str, str, str], ...]
-    quantities: tuple[Quantity, ...]
+    quantities: tuple[UnitQuantity, ...]
     sentences: tuple[str, ...]
     varied: str
 
@@ -84,7 +84,7 @@ class UnitGroup:
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedValue:
     """A value that one diagnosis states.
 
     Attributes:
@@ -104,16 +104,16 @@ class Stated:
 def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
     """Put diagnoses of several units together; each has its own ±, and nothing is fitted again."""
     explanations = tuple((each.unit, each.setting, _label(each.diagnosis)) for each in diagnoses)
-    stated: list[Stated] = []
+    stated: list[StatedValue] = []
     for each in diagnoses:
         diagnosis = each.diagnosis
         if diagnosis.verdict is Verdict.EFFECT and diagnosis.ranking:
             words = explanation_words(_label(diagnosis))
             for name, value in diagnosis.ranking[0].parameters.items():
-                stated.append(Stated(f"{words}: {name}", True, 0.0, each.unit, each.setting, value))
+                stated.append(StatedValue(f"{words}: {name}", True, 0.0, each.unit, each.setting, value))
         for row in diagnosis.calibration:
             to = Value(row.to, row.std, row.unit, row.shared_std)
-            stated.append(Stated(row.name, False, row.start, each.unit, each.setting, to))
+            stated.append(StatedValue(row.name, False, row.start, each.unit, each.setting, to))
     channels = [
         f"{each.unit}{f', {each.setting}' if each.setting else ''}: {sentence}"
         for each, (_, _, label) in zip(diagnoses, explanations, strict=True)
@@ -124,7 +124,7 @@ def unit_group(diagnoses: Sequence[UnitDiagnosis], varied: str) -> UnitGroup:
 
 
 def grouped(
-    explanations: Sequence[tuple[str, str, str]], sentences: Sequence[str], stated: Sequence[Stated], varied: str
+    explanations: Sequence[tuple[str, str, str]], sentences: Sequence[str], stated: Sequence[StatedValue], varied: str
 ) -> UnitGroup:
     """Components of every quantity that two units or more have.
 
@@ -134,7 +134,7 @@ def grouped(
         stated: all values.
         varied: what differs within units.
     """
-    by_name: dict[str, list[Stated]] = {}
+    by_name: dict[str, list[StatedValue]] = {}
     for each in stated:
         if math.isfinite(each.value.value) and math.isfinite(each.value.std) and each.value.std > 0.0:
             by_name.setdefault(each.name, []).append(each)
@@ -143,7 +143,7 @@ def grouped(
     for values in compared:
         first, estimates = values[0], tuple(_estimate(each) for each in values)
         quantities.append(
-            Quantity(
+            UnitQuantity(
                 first.name, first.value.unit, first.of_effect, first.initial, estimates,
                 components(estimates, len(compared)),
             )
@@ -177,7 +177,7 @@ def _label(diagnosis: Diagnosis) -> str:
     return f"{head.effect}@{head.detail or head.place}"
 
 
-def _estimate(stated: Stated) -> Estimate:
+def _estimate(stated: StatedValue) -> Estimate:
     value = stated.value
     alone = math.sqrt(max(value.std**2 - value.shared_std**2, (_LEAST_ALONE * value.std) ** 2))
     return Estimate(stated.unit, stated.setting, value.value, alone, value.shared_std)
@@ -201,7 +201,7 @@ def of_explanations(explanations: Sequence[tuple[str, str, str]]) -> list[str]:
     return sentences
 
 
-def _of_quantity(quantity: Quantity, varied: str) -> list[str]:
+def _of_quantity(quantity: UnitQuantity, varied: str) -> list[str]:
     """Sentences on a parameter."""
     found, unit = quantity.components, quantity.unit_of_value
     sentences = [

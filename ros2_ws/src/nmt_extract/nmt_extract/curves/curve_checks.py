@@ -22,7 +22,7 @@ def coverage(points: int) -> float:
 
 
 @dataclass(frozen=True)
-class Turn:
+class TurningPoint:
     """A place along a curve at which a quantity turns, between measured points.
 
     Attributes:
@@ -37,7 +37,7 @@ class Turn:
     sign: int
 
 
-def turns(values: FloatArray, values_std: FloatArray) -> tuple[Turn, ...]:
+def turns(values: FloatArray, values_std: FloatArray) -> tuple[TurningPoint, ...]:
     """Where values along a curve turn beyond their uncertainties: the check of a fold.
 
     Args:
@@ -55,7 +55,7 @@ def turns(values: FloatArray, values_std: FloatArray) -> tuple[Turn, ...]:
     return tuple(found)
 
 
-def _next_turn(values: FloatArray, values_std: FloatArray, begin: int) -> Turn | None:
+def _next_turn(values: FloatArray, values_std: FloatArray, begin: int) -> TurningPoint | None:
     """The first turn after a point that is an extreme itself, or the beginning."""
     low = high = begin
     for last in range(begin + 1, values.size):
@@ -64,7 +64,7 @@ def _next_turn(values: FloatArray, values_std: FloatArray, begin: int) -> Turn |
                 continue
             before = [k for k in range(begin, extreme) if _clearly(sign * values, values_std, k, extreme)]
             if before:
-                return Turn(before[-1], last, extreme, sign)
+                return TurningPoint(before[-1], last, extreme, sign)
         high = last if values[last] > values[high] else high
         low = last if values[last] < values[low] else low
     return None

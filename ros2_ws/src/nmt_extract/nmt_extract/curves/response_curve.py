@@ -41,7 +41,7 @@ from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
 from nmt_core.vocabulary import CurveParameter, PointStatus
 from nmt_extract.curves import curve_checks
-from nmt_extract.curves.curve_checks import Turn
+from nmt_extract.curves.curve_checks import TurningPoint
 
 LEAST_POINTS = 5
 """Fewer points of a curve say nothing of its folds."""
@@ -66,7 +66,7 @@ PLACE_COLUMNS = (
 between which it lies."""
 
 
-class Place(Enum):
+class PlaceKind(Enum):
     """What is particular about a place of a curve."""
 
     FOLD = "fold"
@@ -86,7 +86,7 @@ class CurvePlace:
         lag_before, lag_after: of the measured points between which it lies, rad.
     """
 
-    place: Place
+    place: PlaceKind
     lag: float
     lag_std: float
     frequency_hz: float
@@ -160,7 +160,7 @@ class ResponseCurve:
         if not self.holds_force:
             return ()
         turns = self._turns(self.frequency_hz, self.frequency_hz_std)
-        return self._places(self.frequency_hz, self.frequency_hz_std, Place.FOLD, turns)
+        return self._places(self.frequency_hz, self.frequency_hz_std, PlaceKind.FOLD, turns)
 
     @property
     def tip(self) -> CurvePlace | None:
@@ -168,7 +168,7 @@ class ResponseCurve:
         if not self.holds_force:
             return None
         turns = [turn for turn in self._turns(self.response, self.response_std) if turn.sign > 0]
-        found = self._places(self.response, self.response_std, Place.TIP, turns)
+        found = self._places(self.response, self.response_std, PlaceKind.TIP, turns)
         return max(found, key=lambda item: item.response, default=None)
 
     @property
@@ -206,11 +206,11 @@ class ResponseCurve:
         clear = np.abs(self.growth) > COVERAGE * self.growth_std
         return np.where(clear, (self.growth < 0.0).astype(np.float64), math.nan)
 
-    def _turns(self, values: FloatArray, values_std: FloatArray) -> tuple[Turn, ...]:
+    def _turns(self, values: FloatArray, values_std: FloatArray) -> tuple[TurningPoint, ...]:
         return curve_checks.turns(values, values_std) if self.lag.size >= LEAST_POINTS else ()
 
     def _places(
-        self, values: FloatArray, values_std: FloatArray, place: Place, turns: Sequence[Turn]
+        self, values: FloatArray, values_std: FloatArray, place: PlaceKind, turns: Sequence[TurningPoint]
     ) -> tuple[CurvePlace, ...]:
         """Where values turn between measured points, by the spline through them."""
         every = np.arange(self.lag.size)
@@ -230,7 +230,7 @@ class ResponseCurve:
             added = abs(height - float(values[turn.extreme])) / math.sqrt(3.0)
             coarse = max(abs(float(_spline(self.place[half], values[half])(position)) - height) for half in halves)
             # What turns here does not change with the place; the other quantity does.
-            other = self.response if place is Place.FOLD else self.frequency_hz
+            other = self.response if place is PlaceKind.FOLD else self.frequency_hz
             moving = float(_spline(self.place, other)(position, 1)) * position_std
             turning = math.hypot(added, _COARSE_SHARE * coarse)
             stds = [
@@ -246,7 +246,7 @@ class ResponseCurve:
             found.append(CurvePlace(place, lag, lag_std, *values_here, position, position_std, *between))
         return tuple(found)
 
-    def _apart(self, turn: Turn, position: float, values: FloatArray, half: IntArray) -> float:
+    def _apart(self, turn: TurningPoint, position: float, values: FloatArray, half: IntArray) -> float:
         """Standard uncertainty of the place of an extreme by the spacing: from that of every second point alone.
 
         Where those show no extreme between the measured points that bracket it, nothing but these bounds it.
@@ -257,7 +257,7 @@ class ResponseCurve:
             return (last - first) / math.sqrt(12.0)
         return _COARSE_SHARE * min(abs(other - position) for other in near)
 
-    def _position(self, turn: Turn, values: FloatArray) -> float:
+    def _position(self, turn: TurningPoint, values: FloatArray) -> float:
         """Where the spline has the outermost value between the measured points of a turn."""
         first, last = float(self.place[turn.first]), float(self.place[turn.last])
         inner = [p for p in self._extremes(values, np.arange(values.size)) if first < p < last]

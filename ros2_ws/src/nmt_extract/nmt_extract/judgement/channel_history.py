@@ -10,7 +10,7 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_extract.judgement.channel_gain import ShapeLevel
 from nmt_extract.judgement.force_judge import DriveState
-from nmt_extract.judgement.moving_shape import Course, Doubt, moves_on, stays
+from nmt_extract.judgement.moving_shape import Doubt, ShapeCourse, moves_on, stays
 from nmt_extract.judgement.shape_judge import Deviation
 
 
@@ -41,11 +41,11 @@ class ChannelHistory:
     drives: list[DriveState] = field(default_factory=list)
     driven: dict[int, int] = field(default_factory=dict)
     shapes: list[ComplexArray] = field(default_factory=list)
-    course: list[Course] = field(default_factory=list)
+    course: list[ShapeCourse] = field(default_factory=list)
     levels: list[ShapeLevel] = field(default_factory=list)
     doubts: dict[int, Doubt] = field(default_factory=dict)
 
-    def doubt(self, found: Mapping[int, Deviation], course: Course) -> Mapping[int, Doubt]:
+    def doubt(self, found: Mapping[int, Deviation], course: ShapeCourse) -> Mapping[int, Doubt]:
         """Channels that may be off at a level.
 
         Args:
@@ -72,7 +72,7 @@ class ChannelHistory:
         shape: ComplexArray,
         noise: FloatArray,
         drive: DriveState,
-        course: Course,
+        course: ShapeCourse,
         level: ShapeLevel | None,
     ) -> None:
         """Take a level without a fault, as it was measured."""

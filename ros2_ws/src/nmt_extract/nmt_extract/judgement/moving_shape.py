@@ -18,7 +18,7 @@ _MIXED = 3.0  # share of a near mode over the shift of the frequency next to its
 _APART, _KEPT = 0.2, 0.2  # ln q between levels that tell; change of a share that stays, of it
 
 
-class Course(NamedTuple):
+class ShapeCourse(NamedTuple):
     """Where a level lies on the way of a shape.
 
     Attributes:
@@ -36,7 +36,7 @@ class Doubt(NamedTuple):
     """A channel that may be off, or the shape moves: measured over expected, at which level, and whether it stays."""
 
     ratio: complex
-    course: Course
+    course: ShapeCourse
     stays: bool = False
 
 
@@ -54,17 +54,17 @@ def mode_words(linear: LinearDescription, mode: int) -> str:
     return f"mode {mode + 1} at {linear.frequencies_rad_s[mode] / (2.0 * math.pi):.5g} Hz"
 
 
-def course_of(shape: ComplexArray, near: Sequence[int], linear: LinearDescription, omega: float) -> Course:
+def course_of(shape: ComplexArray, near: Sequence[int], linear: LinearDescription, omega: float) -> ShapeCourse:
     """Course of a shape (displacements in m, shape ``(points,)``) at a frequency (rad/s)."""
     coordinates = np.linalg.pinv(linear.shape_matrix) @ shape
     target, at_rest = coordinates[linear.target_mode], linear.frequencies_rad_s[linear.target_mode]
     gap = min((abs(linear.frequencies_rad_s[mode] - at_rest) for mode in near), default=math.inf)
     shares = coordinates[list(near)] / target if target != 0.0 else np.full(len(near), complex(math.nan))
     place = math.log(max(float(np.linalg.norm(coordinates)), 1e-300))
-    return Course(place, np.asarray(shares), abs(omega - at_rest) / max(gap, 1e-300))
+    return ShapeCourse(place, np.asarray(shares), abs(omega - at_rest) / max(gap, 1e-300))
 
 
-def moves_on(before: Sequence[Course], here: Course) -> bool:
+def moves_on(before: Sequence[ShapeCourse], here: ShapeCourse) -> bool:
     """Whether near modes come in as a nonlinear force lets them, and no gain does.
 
     As they did over the levels before; where there are fewer than two of these, in proportion to the frequency: a force
@@ -84,7 +84,7 @@ def moves_on(before: Sequence[Course], here: Course) -> bool:
     return bool(np.abs(here.shares - one.shares).max() < _FASTER * rate * abs(here.place - one.place) + _ADDED)
 
 
-def stays(then: Course, now: Course) -> bool:
+def stays(then: ShapeCourse, now: ShapeCourse) -> bool:
     """Whether near modes keep their share while the amplitude changes: what a gain makes of a shape."""
     if now.shares.size != then.shares.size or not now.shares.size:
         return False

@@ -15,7 +15,7 @@ from nmt_extract.linear.results import LinearMode, PlantEstimate
 from nmt_signals.frequency_responses import FrfEstimate
 
 
-class VoltageRecord(Protocol):
+class RecordWithVoltages(Protocol):
     """What is asked of a record with voltages."""
 
     @property
@@ -40,7 +40,7 @@ class VoltageRecord(Protocol):
 
 
 def plant_estimate(
-    record: VoltageRecord, modes: tuple[LinearMode, ...], target: int, voltage_frfs: tuple[FrfEstimate, ...]
+    record: RecordWithVoltages, modes: tuple[LinearMode, ...], target: int, voltage_frfs: tuple[FrfEstimate, ...]
 ) -> PlantEstimate | None:
     """Pole of voltage to response next to the target, and what the exciters make there; None without a voltage.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from nmt_core.numerics.kernels import loop_step, njit
 from nmt_rig.model.element_kernels import piece
-from nmt_rig.model.integration_kernel import _XX, _XY, _YX, _YY, JENKINS, Integers, Memory
+from nmt_rig.model.integration_kernel import _XX, _XY, _YX, _YY, JENKINS, Integers, PortMemory
 from nmt_rig.model.structure import Array
 
 # First rows of `Motion.holds` for forces at the start and at the end of a step, and their columns.
@@ -22,7 +22,7 @@ AT_START, AT_END = 0, 2
 _IN_LANES = {"reassoc", "contract"}
 
 
-class Motion(NamedTuple):
+class SampleMotion(NamedTuple):
     """The linear motion between the samples.
 
     Attributes:
@@ -236,7 +236,7 @@ def gather(places: Places, branch: Integers, slider: Array, now: Active) -> int:
 
 @loop_step
 def follow_branches(
-    motion: Motion, places: Places, memory: Memory, due: Array, now: Active, trial: Trial
+    motion: SampleMotion, places: Places, memory: PortMemory, due: Array, now: Active, trial: Trial
 ) -> tuple[int, float]:
     """Everything that follows from the branches; it depends on nothing else, so not on the blocks.
 
@@ -263,7 +263,7 @@ def follow_branches(
 
 
 @loop_step
-def follow_width(motion: Motion, now: Active, level: int, count: int, matrix: Array, row_order: Integers) -> None:
+def follow_width(motion: SampleMotion, now: Active, level: int, count: int, matrix: Array, row_order: Integers) -> None:
     """What a step width adds to `follow_branches`: the motion under the steady forces, and the factors.
 
     Args:

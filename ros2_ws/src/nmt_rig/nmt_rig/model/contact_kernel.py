@@ -25,8 +25,8 @@ from nmt_rig.model.active_ports import (
     AT_END,
     AT_START,
     Active,
-    Motion,
     Places,
+    SampleMotion,
     Trial,
     follow_branches,
     follow_width,
@@ -45,8 +45,8 @@ from nmt_rig.model.integration_kernel import (
     JENKINS,
     SUB_STEPS,
     Integers,
-    Memory,
-    OutputRows,
+    OutputMatrices,
+    PortMemory,
     begin_slip,
     hold_inputs,
     is_bounded,
@@ -66,7 +66,7 @@ _SWEEPS = 14
 
 @loop_step
 def quiet_ticks(
-    places: Places, memory: Memory, q: int, ticks: int, width: float, w0: float, v0: float, w1: float, v1: float
+    places: Places, memory: PortMemory, q: int, ticks: int, width: float, w0: float, v0: float, w1: float, v1: float
 ) -> int:
     """How many of the ticks of a sub-step a port's elements keep their branches, by the cubic through both ends.
 
@@ -100,7 +100,7 @@ def quiet_ticks(
 
 @loop_step
 def move(
-    motion: Motion, now: Active, exciters: tuple[int, ...], state: Array, level: int, ends: Array, trial: Array
+    motion: SampleMotion, now: Active, exciters: tuple[int, ...], state: Array, level: int, ends: Array, trial: Array
 ) -> None:
     """The state (Z,) at the end of a sub-step without the active ports' forces, for the inputs at its ends."""
     pair, weights, steady_step = motion.pair, motion.start_weights, now.steady_step
@@ -142,7 +142,7 @@ def sweep_forces(
     Args:
         count: of active ports.
         span: of the sub-step, s.
-        gain: of its width, see `Motion`.
+        gain: of its width, see `SampleMotion`.
         iterated: whether the forces are still to be found.
     """
     seen, right, change = trial.seen, trial.right, trial.change
@@ -179,7 +179,7 @@ def sweep_forces(
 
 @loop_step
 def solve_active(
-    motion: Motion, now: Active, trial: Trial, count: int, level: int, span: float, iterated: bool
+    motion: SampleMotion, now: Active, trial: Trial, count: int, level: int, span: float, iterated: bool
 ) -> None:
     """Forces of the active ports at the end of a sub-step, and the state there with them."""
     port_rows, stiffness = motion.port_rows, now.stiffness
@@ -207,7 +207,7 @@ def solve_active(
 
 
 @loop_step
-def turns_of_active(places: Places, memory: Memory, now: Active, trial: Trial, count: int) -> bool:
+def turns_of_active(places: Places, memory: PortMemory, now: Active, trial: Trial, count: int) -> bool:
     """Whether an active port's element leaves its branch by the end of a sub-step; told in `trial.turned`."""
     branch, slider = memory.branch, memory.slider
     corner = False
@@ -238,7 +238,7 @@ def way_of(reach: Array, before: Array, after: Array) -> float:
 
 @loop_step
 def look_at_resting(
-    motion: Motion, places: Places, memory: Memory, due: Array, ahead: float, now: Active, trial: Trial
+    motion: SampleMotion, places: Places, memory: PortMemory, due: Array, ahead: float, now: Active, trial: Trial
 ) -> tuple[int, bool]:
     """Look at the resting ports that are due after the way `ahead`.
 
@@ -268,7 +268,14 @@ def look_at_resting(
 
 @loop_step
 def ticks_before_corner(
-    motion: Motion, places: Places, memory: Memory, state: Array, now: Active, trial: Trial, width: int, span: float
+    motion: SampleMotion,
+    places: Places,
+    memory: PortMemory,
+    state: Array,
+    now: Active,
+    trial: Trial,
+    width: int,
+    span: float,
 ) -> int:
     """Ticks to the tick before the first corner of a refused sub-step; `trial.turned` is cleared.
 
@@ -290,7 +297,7 @@ def ticks_before_corner(
 
 
 @loop_step
-def accept_active(places: Places, memory: Memory, now: Active, trial: Trial, count: int) -> None:
+def accept_active(places: Places, memory: PortMemory, now: Active, trial: Trial, count: int) -> None:
     """Take over forces and motion of the active ports, and move the sliders that slip with them."""
     forces, kinematics, branch = memory.forces, memory.kinematics, memory.branch
     w_trial, ports = trial.w, now.place.size
@@ -312,7 +319,14 @@ def accept_active(places: Places, memory: Memory, now: Active, trial: Trial, cou
 
 @loop_step
 def switch_branches(
-    motion: Motion, places: Places, memory: Memory, due: Array, way: float, state: Array, now: Active, trial: Trial
+    motion: SampleMotion,
+    places: Places,
+    memory: PortMemory,
+    due: Array,
+    way: float,
+    state: Array,
+    now: Active,
+    trial: Trial,
 ) -> None:
     """Take the branches that fit at a corner, with the forces of the ports where one changes."""
     forces, kinematics, branch, slider = memory.forces, memory.kinematics, memory.branch, memory.slider
@@ -372,8 +386,8 @@ def begin_again(due: Array, way: Array, place: Integers, looked: Integers, later
 
 @loop_step
 def accept(
-    motion: Motion, places: Places, memory: Memory, due: Array, way: Array, state: Array, now: Active, trial: Trial,
-    count: int, seen: int, corner: bool, earliest: float,
+    motion: SampleMotion, places: Places, memory: PortMemory, due: Array, way: Array, state: Array, now: Active,
+    trial: Trial, count: int, seen: int, corner: bool, earliest: float,
 ) -> float:  # fmt: skip
     """Take over the end of a sub-step, with the branches that fit past a corner.
 
@@ -419,7 +433,9 @@ def next_level(position: int, goal: int, levels: int) -> int:
 
 
 @loop_step
-def write_outputs(rows: OutputRows, state: Array, forces: Array, ports: int, inputs: Array, k: int, out: Array) -> None:
+def write_outputs(
+    rows: OutputMatrices, state: Array, forces: Array, ports: int, inputs: Array, k: int, out: Array
+) -> None:
     """Outputs (outputs, n) at sample k, for the inputs (exciters, n + 1)."""
     for o in range(out.shape[0]):
         total = rows.inputs[o, 0] * inputs[0, k]
@@ -464,9 +480,9 @@ def integrate_contacts(
     """Integrate one block; outputs are taken at the samples, before each step.
 
     Args:
-        motion_tables, place_tables, output_tables: `Motion`, `Places` and `OutputRows` of the system as plain tuples,
-            which come from Python sooner than named ones.
-        memory_tables: likewise the `Memory`, updated; its kinematics are those of active ports.
+        motion_tables, place_tables, output_tables: `SampleMotion`, `Places` and `OutputMatrices` of the system as plain
+            tuples, which come from Python sooner than named ones.
+        memory_tables: likewise the `PortMemory`, updated; its kinematics are those of active ports.
         exciters: their numbers, from 0.
         substeps: per sample.
         inputs: (exciters, n + 1) input at the samples and one beyond; straight between them.
@@ -478,8 +494,8 @@ def integrate_contacts(
     Returns:
         False where the state stopped being finite.
     """
-    motion, places = Motion(*motion_tables), Places(*place_tables)
-    rows, memory = OutputRows(*output_tables), Memory(*memory_tables)
+    motion, places = SampleMotion(*motion_tables), Places(*place_tables)
+    rows, memory = OutputMatrices(*output_tables), PortMemory(*memory_tables)
     levels = motion.gains.size - 1
     ports = due.size
     now, trial = work_space(levels, ports, state, memory.forces)

@@ -80,7 +80,7 @@ class PortForces(NamedTuple):
     affine: bool
 
 
-class OutputRows(NamedTuple):
+class OutputMatrices(NamedTuple):
     """Outputs C (outputs, Z), D_g (outputs, ports) and D_u (outputs, exciters)."""
 
     state: Array
@@ -88,7 +88,7 @@ class OutputRows(NamedTuple):
     inputs: Array
 
 
-class Memory(NamedTuple):
+class PortMemory(NamedTuple):
     """What ports and elements carry from one sub-step to the next; arrays that the kernels update.
 
     Attributes:
@@ -415,7 +415,7 @@ def is_settled(change: Array, forces: Array, before: Array) -> bool:
 
 
 @loop_step
-def solve_ports(compliance: Array, level: int, rows: int, acting: PortForces, memory: Memory, sub: SubStep) -> bool:
+def solve_ports(compliance: Array, level: int, rows: int, acting: PortForces, memory: PortMemory, sub: SubStep) -> bool:
     """Forces and slopes of all ports at the end of a sub-step by Newton's method; whether they were found."""
     forces, residual = sub.forces, sub.residual
     count = forces.size
@@ -469,7 +469,7 @@ def take_state(motion: LinearMotion, level: int, one: bool, sub: SubStep, state:
 
 
 @loop_step
-def slip_along(parameters: Array, e: int, memory: Memory, before: float, after: float) -> None:
+def slip_along(parameters: Array, e: int, memory: PortMemory, before: float, after: float) -> None:
     """Move the slider of a slipping Jenkins element with its port, from `before` to `after`; count what it loses."""
     side = memory.branch[e]
     memory.dissipated[e] += side * parameters[e, SLIP_FORCE] * (after - before)
@@ -477,7 +477,7 @@ def slip_along(parameters: Array, e: int, memory: Memory, before: float, after: 
 
 
 @loop_step
-def begin_slip(parameters: Array, e: int, memory: Memory, side: int, w: float) -> None:
+def begin_slip(parameters: Array, e: int, memory: PortMemory, side: int, w: float) -> None:
     """Put the slider of a Jenkins element that begins to slip where its port, at w, has it; count what that loses."""
     slipped = w - side * parameters[e, SLIP_FORCE] / parameters[e, STIFFNESS]
     memory.dissipated[e] += side * parameters[e, SLIP_FORCE] * (slipped - memory.slider[e])
@@ -485,7 +485,7 @@ def begin_slip(parameters: Array, e: int, memory: Memory, side: int, w: float) -
 
 
 @loop_step
-def move_elements(acting: PortForces, memory: Memory, own: int, corner: bool, seen: Array) -> None:
+def move_elements(acting: PortForces, memory: PortMemory, own: int, corner: bool, seen: Array) -> None:
     """Move the sliders that slip with their ports; past a corner, take the branches that fit."""
     kinds, parameters, branch, slider = acting.kinds, acting.parameters, memory.branch, memory.slider
     for e in range(kinds.size):
@@ -501,7 +501,7 @@ def move_elements(acting: PortForces, memory: Memory, own: int, corner: bool, se
 
 @loop_step
 def accept(
-    motion: LinearMotion, acting: PortForces, memory: Memory, level: int, corner: bool, rows: int, sub: SubStep,
+    motion: LinearMotion, acting: PortForces, memory: PortMemory, level: int, corner: bool, rows: int, sub: SubStep,
     state: Array,
 ) -> None:  # fmt: skip
     """Take over the end of a sub-step: state, sliders, branches past a corner, forces and what the ports see."""
@@ -540,7 +540,7 @@ def is_bounded(state: Array) -> bool:
 
 @loop_step
 def write_outputs(
-    rows: OutputRows, inputs: Array, history: Array, force_history: Array, lanes: int, outputs: Array
+    rows: OutputMatrices, inputs: Array, history: Array, force_history: Array, lanes: int, outputs: Array
 ) -> None:
     """Outputs sample by sample in the inner loop: vectorised without changing the order of a sample's sum."""
     samples = inputs.shape[1] - 1
@@ -568,7 +568,7 @@ def write_outputs(
 
 
 @njit(cache=True, inline="always")
-def room_for_sub_step(ports: int, state: Array, memory: Memory) -> SubStep:
+def room_for_sub_step(ports: int, state: Array, memory: PortMemory) -> SubStep:
     """Work space."""
     return SubStep(
         state.copy(), memory.forces.copy(), memory.kinematics.copy(), memory.kinematics.copy(), np.zeros((ports, 2)),
@@ -593,9 +593,9 @@ def integrate(
     """Integrate one block; outputs are taken at the samples, before each step.
 
     Args:
-        motion_tables, force_tables, output_tables: `LinearMotion`, `PortForces` and `OutputRows` of the system as plain
-            tuples, which come from Python sooner than named ones.
-        memory_tables: likewise the `Memory`, updated.
+        motion_tables, force_tables, output_tables: `LinearMotion`, `PortForces` and `OutputMatrices` of the system as
+            plain tuples, which come from Python sooner than named ones.
+        memory_tables: likewise the `PortMemory`, updated.
         exciters: their numbers, from 0.
         substeps: per sample.
         inputs: (exciters, n + 1) input at the samples and one beyond; straight between them.
@@ -607,7 +607,7 @@ def integrate(
         False where the state stopped being finite or Newton's method failed.
     """
     motion, acting = LinearMotion(*motion_tables), PortForces(*force_tables)
-    memory = Memory(*memory_tables)
+    memory = PortMemory(*memory_tables)
     levels = motion.compliance.shape[0] - 1
     # By names of their own: in a loop each look into a tuple would count references.
     forces, branch, slider, compliance = memory.forces, memory.branch, memory.slider, motion.compliance
@@ -649,5 +649,5 @@ def integrate(
                 accept(motion, acting, memory, level, corner, rows, sub, state)
                 position += width
                 level = widest_level(position, levels)
-    write_outputs(OutputRows(*output_tables), inputs, history, force_history, lanes, outputs)
+    write_outputs(OutputMatrices(*output_tables), inputs, history, force_history, lanes, outputs)
     return good and is_bounded(state)

@@ -236,7 +236,7 @@ def _positive_definite(matrix: Any, lift: bool = False) -> bool:
 
 
 @dataclass(frozen=True)
-class Part:
+class PartMatrix:
     """Stiffness or mass (n, n) of a part of a structure."""
 
     matrix: Any
@@ -244,7 +244,7 @@ class Part:
 
 
 def craig_bampton(
-    matrices: Matrices, kept: Sequence[int], modes: int, parts: Sequence[Part] = (), held: int = 0,
+    matrices: Matrices, kept: Sequence[int], modes: int, parts: Sequence[PartMatrix] = (), held: int = 0,
     most: int | None = None,
 ) -> Matrices:  # fmt: skip
     """Reduction to physical degrees of freedom and fixed-interface modes (Craig and Bampton, AIAA J. 6 (1968) 1313).
@@ -354,8 +354,8 @@ def _beside(deflections: Array, known: Array, m_ii: Any) -> Array:
 
 
 def _with_parts(
-    basis: Array, inner: NDArray[np.int64], points: int, stiffness: Any, mass: Any, factor: Any, parts: Sequence[Part],
-    held: int,
+    basis: Array, inner: NDArray[np.int64], points: int, stiffness: Any, mass: Any, factor: Any,
+    parts: Sequence[PartMatrix], held: int,
 ) -> Array:  # fmt: skip
     """The basis with static deflections of inner rows under the forces of parts in its lowest modes.
 

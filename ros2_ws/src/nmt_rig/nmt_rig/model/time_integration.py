@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_rig.model.active_ports import Motion, Places
+from nmt_rig.model.active_ports import Places, SampleMotion
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.model.contact_kernel import integrate_contacts
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
@@ -18,8 +18,8 @@ from nmt_rig.model.integration_kernel import (
     CORNERS,
     SUB_STEPS,
     LinearMotion,
-    Memory,
     PortForces,
+    PortMemory,
     integrate,
     port_forces,
 )
@@ -130,7 +130,7 @@ class TimeIntegrator:
 
     @cached_property
     def _tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
-        """`LinearMotion`, `PortForces` and `OutputRows` of the matrices and elements taken last, as plain tuples."""
+        """`LinearMotion`, `PortForces` and `OutputMatrices` of what was taken last, as plain tuples."""
         p = self._propagator
         motion = LinearMotion(
             p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_inputs, p.compliance,
@@ -139,10 +139,10 @@ class TimeIntegrator:
 
     @cached_property
     def _contact_tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
-        """`Motion`, `Places` and `OutputRows` of the matrices and elements taken last, as plain tuples."""
+        """`SampleMotion`, `Places` and `OutputMatrices` of the matrices and elements taken last, as plain tuples."""
         p, space = self._propagator, self._space
         step = 1.0 / (self.sample_rate * self.substeps)
-        motion = Motion(
+        motion = SampleMotion(
             p.pair, p.start_weights, p.port_rows, p.holds, p.projection, self._answers, self._reach, self._gains, step
         )
         places = Places(
@@ -197,7 +197,7 @@ class TimeIntegrator:
         p, n = self._propagator, self._kinds.size
         ports = p.port_feedthrough.shape[1]
         self._state = np.zeros(p.to_working.shape[0])
-        self._memory = Memory(
+        self._memory = PortMemory(
             np.zeros(2 * ports),
             np.zeros(p.port_rows.shape[0]),
             np.zeros(n, dtype=np.int64),

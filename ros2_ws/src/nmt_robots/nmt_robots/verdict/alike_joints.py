@@ -9,7 +9,7 @@ from pathlib import Path
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_rows
 from nmt_diagnose.ledger.diagnosis import Value
-from nmt_diagnose.units.unit_group import Stated, UnitGroup, grouped, of_explanations
+from nmt_diagnose.units.unit_group import StatedValue, UnitGroup, grouped, of_explanations
 from nmt_robots.verdict.joint_verdict import JointVerdict
 
 COLUMNS = ("joint", "unit", "part")
@@ -65,7 +65,7 @@ def joint_group(logs: Sequence[Sequence[JointVerdict]], places: Mapping[str, Pla
         places: of the joints that are compared.
     """
     several = len(logs) > 1
-    stated: list[Stated] = []
+    stated: list[StatedValue] = []
     explanations: list[tuple[str, str, str]] = []
     first: list[tuple[str, str, str]] = []  # what further logs name stands in the table of the page
     for number, joints in enumerate(logs, start=1):
@@ -82,7 +82,7 @@ def joint_group(logs: Sequence[Sequence[JointVerdict]], places: Mapping[str, Pla
             for term in joint.terms:
                 value = Value(term.value, term.std, term.unit)
                 name = f"{place.part}: {term.words}"
-                stated.append(Stated(name, term.in_model == 0.0, term.in_model, place.unit, repeat, value))
+                stated.append(StatedValue(name, term.in_model == 0.0, term.in_model, place.unit, repeat, value))
     parts = dict.fromkeys(place.part for place in places.values())
     sentences = [
         f"{part}: {sentence[0].lower()}{sentence[1:]}"

@@ -162,6 +162,18 @@ def test_the_order_of_the_fields_that_are_handed_over_counts(sample: Sample) -> 
         assert sample.run()[:2] == (-1.0, 0)
 
 
+def test_a_named_tuple_may_get_another_name(sample: Sample) -> None:
+    """The index of the cache holds the classes that were handed over: one that is gone must not stop the program."""
+    text = KERNEL.replace("import sys\n", "import sys\nfrom nmt_sample import pair\n")
+    for name, hits in (("Pair", 0), ("Couple", 0), ("Couple", 1)):
+        call = f"own.kernel(pair.{name}(a=2.0, b=3.0))"
+        sample.write("kernel", text.replace("own.kernel(2.0)", call).replace("middle(x) + 1.0", "x.a - x.b"))
+        sample.write(
+            "pair", f"from typing import NamedTuple\n\nclass {name}(NamedTuple):\n    a: float\n    b: float\n"
+        )
+        assert sample.run()[:2] == (-1.0, hits)
+
+
 def test_of_many_versions_the_last_are_kept(sample: Sample) -> None:
     for factor in range(6):
         sample.write("constants", f"FACTOR = {factor}.0{'0' * factor}\n")

@@ -21,6 +21,7 @@ import sys
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
+from pickle import UnpicklingError
 from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any
 
@@ -109,7 +110,7 @@ class _KeyedCache(FunctionCache):  # type: ignore[misc]
 
     @cached_property
     def _cache_file(self) -> IndexDataCacheFile:
-        return IndexDataCacheFile(self._cache_path, self.file_name, self.file_name)
+        return _Index(self._cache_path, self.file_name, self.file_name)
 
     def _index_key(self, signature: Any, codegen: Any) -> tuple[Any, ...]:
         """With the fields of named tuples that are handed over: to numba they are their types."""
@@ -124,6 +125,19 @@ class _KeyedCache(FunctionCache):  # type: ignore[misc]
             for old in indices[_KEPT:]:
                 for path in folder.glob(f"{old.stem}.*"):
                     path.unlink(missing_ok=True)
+
+
+class _Index(IndexDataCacheFile):  # type: ignore[misc]
+    """numba's index of the cached signatures; one that cannot be read is made anew.
+
+    It holds the classes of named tuples that were handed over, which may have got another name since.
+    """
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()
+        except (AttributeError, ImportError, EOFError, ValueError, UnpicklingError):
+            return {}
 
 
 class _Results(CompileResultCacheImpl):  # type: ignore[misc]

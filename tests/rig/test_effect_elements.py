@@ -9,6 +9,7 @@ import pytest
 from rig.effect_rigs import DAMPER, MASS, RATE, SPRING, harmonic, oscillator, run
 from scipy.integrate import cumulative_simpson, solve_ivp
 
+from nmt_rig.linear_description import linear_description
 from nmt_rig.model.assembly import assemble, displacement_output
 from nmt_rig.model.chain import lumped_chain
 from nmt_rig.model.local_elements.attachments import BoucWen, FractionalDamper, LuGre
@@ -183,6 +184,17 @@ def test_bouc_wen_becomes_the_jenkins_element():
     without = TimeIntegrator(bare, RATE, [displacement_output(bare, 1)]).advance(drive)[0]
     assert np.abs(without - x[1]).max() > 0.3 * np.abs(x[1]).max()
     assert np.abs(x[0] - x[1])[-4000:].max() < 0.02 * np.abs(x[1]).max()
+
+
+@pytest.mark.parametrize("kind", CASES)
+def test_a_test_of_a_rig_with_it_can_be_planned(kind):
+    """A mode of an attachment that moves no point of the structure is not mistaken for the mode under test."""
+    element = {"kind": kind, "point": 1, **CASES[kind][2]}
+    rest = linear_description(oscillator([element]))
+    bare = linear_description(oscillator([]))
+    assert rest.plant_frequency_rad_s == pytest.approx(rest.frequencies_rad_s[0], rel=0.2)
+    if kind == "tuned_mass_quadratic":  # at rest it does not touch the structure
+        assert rest.plant_frequency_rad_s == pytest.approx(bare.plant_frequency_rad_s, rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["bouc_wen", "lugre", "eddy_brake", "backlash_damper", "rattling_mass"])

@@ -135,7 +135,8 @@ def linear_description(rig: Rig) -> LinearDescription:
             "damping of the structure or of the exciter."
         )
     shape = modes.shapes[:, target]
-    overlap = np.abs(shape @ plant.shapes) ** 2 / np.sum(np.abs(plant.shapes) ** 2, axis=0)
+    size = np.sum(np.abs(plant.shapes) ** 2, axis=0)
+    overlap = np.abs(shape @ plant.shapes) ** 2 / np.where(size > 0.0, size, np.inf)
     # Few points cannot tell the mode from one of the exciter's own: of those that look alike, the nearest.
     alike = np.flatnonzero(overlap >= (1.0 - 1e-9) * np.max(overlap))
     distance = np.abs(np.log(plant.frequencies[alike] / modes.frequencies[target]))

@@ -57,7 +57,7 @@ class DampedModes:
         eigenvalues: (m,) λ with positive imaginary part, rad/s.
         frequencies: (m,) |λ|, rad/s.
         damping_ratios: (m,) -Re λ / |λ|.
-        shapes: (points, m) complex displacement shapes at `points`, largest entry 1.
+        shapes: (points, m) complex displacement shapes at `points`, largest entry 1; 0 where a mode moves none of them.
         points: point numbers of the rows.
     """
 
@@ -120,8 +120,8 @@ def damped_modes(system: ElectromechanicalSystem) -> DampedModes:
     points = system.point_numbers
     shapes = np.array([system.motion(point, vectors) for point in points]).reshape(len(points), vectors.shape[1])
     if points:
-        largest = np.argmax(np.abs(shapes), axis=0)
-        shapes = shapes / shapes[largest, np.arange(shapes.shape[1])]
+        largest = shapes[np.argmax(np.abs(shapes), axis=0), np.arange(shapes.shape[1])]
+        shapes = shapes / np.where(largest == 0.0, 1.0, largest)
     return DampedModes(values, np.abs(values), -values.real / np.abs(values), shapes, points)
 
 

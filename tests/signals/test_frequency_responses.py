@@ -7,6 +7,7 @@ import pytest
 
 from nmt_core.errors import BenchError
 from nmt_signals.frequency_responses import averaged_spectra, frf_estimate
+from nmt_signals.local_responses import choose_bins
 
 RATE = 1000.0
 
@@ -87,3 +88,20 @@ def test_a_dead_channel_is_refused():
     signals["x1"] = np.zeros(8192)
     with pytest.raises(BenchError, match="x1"):
         frf_estimate(averaged_spectra(signals, RATE, 1024), "f1", ("x1",))
+
+
+def test_lines_go_to_the_resonances_and_not_to_noise_that_turns_the_phase():
+    """A displacement resonates twice below 70 Hz and is noise beyond: most lines lie where its phase says something."""
+    rate, seconds = 2500.0, 40.0
+    time = np.arange(round(rate * seconds)) / rate
+    rng = np.random.default_rng(3)
+    drive = rng.standard_normal(time.size)
+    frequency = np.fft.rfftfreq(time.size, 1.0 / rate)
+    response = sum(1.0 / (f**2 - frequency**2 + 0.02j * f * frequency) for f in (14.0, 60.0))
+    moved = np.fft.irfft(np.fft.rfft(drive) * response, time.size)
+    noisy = moved + 1e-2 * np.std(moved) * rng.standard_normal(time.size)
+    lines = choose_bins(drive, noisy, rate, 160) / seconds
+    assert 100 < lines.size <= 160
+    assert np.mean(lines < 100.0) > 0.5
+    for f in (14.0, 60.0):  # a narrow one has as many as may stand on it
+        assert np.min(np.abs(lines - f)) < 11.0 / seconds

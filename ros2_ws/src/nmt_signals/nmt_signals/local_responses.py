@@ -23,6 +23,10 @@ from nmt_signals.thresholds import SIGNAL_FITS
 
 # How often the place of a resonance within the lines is improved.
 _POLE_STEPS = 8
+# Step by which the places are increased until enough lines are apart.
+_MORE_MARKS = 20
+# Probability that noise has a coherence beyond which the phase counts.
+_CHANCE = 1e-3
 # How many of these steps are linear.
 _LINEAR_STEPS = 3
 
@@ -188,7 +192,7 @@ def _resonance(plain: _LocalFit) -> _LocalFit:
 
 
 def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float, wanted: int) -> IntArray:
-    """Lines evenly spread over decades and over the turns of the response's phase, within the driven band.
+    """Lines evenly spread over decades and over turns of the phase beyond those by noise, within the driven band.
 
     Args:
         reference: samples, shape (n,).
@@ -218,22 +222,48 @@ def choose_bins(reference: FloatArray, response: FloatArray, sample_rate: float,
     inside = inside[(inside > REACH) & (inside < frequency_hz.size - REACH - 1)]
     if inside.size < 2:
         return np.zeros(0, dtype=np.int64)
-    turns = np.interp(frequency_hz[inside], frequency, np.concatenate(([0.0], np.cumsum(np.abs(_steps(cross))))))
+    _, answered = welch(response, sample_rate, nperseg=segment)
+    coherence = np.abs(cross) ** 2 / np.maximum(power * answered, 1e-300)
+    steps = _turns(cross, coherence, 2 * size // segment - 1)
+    turns = np.interp(frequency_hz[inside], frequency, np.concatenate(([0.0], np.cumsum(steps))))
     # A resonance (a turn by π) has as many lines as a factor of four in frequency.
     way = np.log(frequency_hz[inside] / frequency_hz[inside[0]]) + turns * math.log(4.0) / math.pi
-    marks = np.linspace(way[0], way[-1], wanted)
-    picked = inside[np.searchsorted(way, marks).clip(0, inside.size - 1)]
-    result = []
-    last = -(10**9)
-    for line in picked:
-        if line - last > REACH:
-            result.append(int(line))
-            last = int(line)
+    found = _apart(inside, way, wanted)
+    # On narrow resonances lines would lie too near each other: as many more are spread over the rest.
+    for marks in range(wanted + _MORE_MARKS, 4 * wanted, _MORE_MARKS):
+        more = _apart(inside, way, marks)
+        if more.size > wanted:
+            break
+        found = more
+    return found
+
+
+def _apart(inside: IntArray, way: FloatArray, marks: int) -> IntArray:
+    """Lines at even distances along the way, without those too near the one before."""
+    picked = inside[np.searchsorted(way, np.linspace(way[0], way[-1], marks)).clip(0, inside.size - 1)]
+    result: list[int] = []
+    for line in map(int, picked):
+        if not result or line - result[-1] > REACH:
+            result.append(line)
     return np.array(result, dtype=np.int64)
 
 
-def _steps(cross: ComplexArray) -> FloatArray:
+def _turns(cross: ComplexArray, coherence: FloatArray, averages: int) -> FloatArray:
+    """Turns of the phase from line to line, rad, less twice what noise turns it (Bendat and Piersol, Random Data, 9.2).
+
+    Where noise alone would be as coherent once in a thousand lines, the phase says nothing.
+
+    Args:
+        cross: spectrum of reference and response, (n,).
+        coherence: γ² of them, (n,).
+        averages: segments of which they are the means.
+
+    Returns:
+        Not negative, (n - 1,).
+    """
     smooth = np.convolve(cross, np.array([0.25, 0.5, 0.25]), mode="same")
-    result: FloatArray = np.angle(smooth[1:] * np.conj(smooth[:-1]))
-    # Noise turns the phase to and fro: what exceeds a quarter turn a step is not a resonance.
-    return np.where(np.abs(result) < 0.5 * math.pi, result, 0.0)
+    steps = np.abs(np.angle(smooth[1:] * np.conj(smooth[:-1])))
+    by_chance = 1.0 - _CHANCE ** (1.0 / max(averages - 1, 1))
+    variance = (1.0 - np.minimum(coherence, 1.0)) / (2.0 * averages * np.maximum(coherence, 1e-12))
+    variance[coherence < by_chance] = np.inf
+    return np.asarray(np.maximum(steps - 2.0 * np.sqrt(variance[1:] + variance[:-1]), 0.0))

@@ -21,8 +21,8 @@ def joined(words: Iterable[str]) -> str:
     return " + ".join(words)
 
 
-_WORDS = {"second_friction_contact": "friction contact"}
-"""Effects whose words are not those of their name: of a model without friction a contact is the first."""
+_WORDS = {"second_friction_contact": "friction contact", "missing_mode": "a further mode"}
+"""Effects with other words than their name: without friction in the model a contact is the first; a mode is lacking."""
 
 
 def effect_words(name: str) -> str:

@@ -165,7 +165,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "signals.channel_faults.repeats_steepness": (lambda: (repeats(0.4), repeats(0.6)), (False, True)),
     "signals.channel_faults.repeats_crowding": (lambda: (repeats(1.0, 5), repeats(1.0, 3)), (False, True)),
     "signals.decays.hum_fewest_beats": (lambda: [hums_beside(50.0 - away) for away in (0.6, 0.75)], [0, 1]),
-    "signals.decays.hum_passing_share": (lambda: [hums_beside(50.0, sweep, 10.0) for sweep in (11.0, 15.0)], [0, 1]),
+    "signals.decays.hum_passing_share": (lambda: [hums_beside(50.0, sweep, 10.0) for sweep in (2.5, 3.5)], [0, 1]),
     # The smooth course is known to a twentieth: so are cosine and sine, by √(2 / 2000) of it.
     "signals.decays.hum_roughness": (lambda: (hums(0.008), hums(0.012)), (0, 1)),
     "signals.decays.hum_sigmas": (lambda: (hums(0.008), hums(0.012)), (0, 1)),

@@ -24,10 +24,13 @@ from nmt_signals.thresholds import DECAYS
 _MAINS_ORDERS = (1, 2, 3)
 # Over the mode's frequency, the widest band of the demodulation.
 _BAND_RATIOS = (0.5, 1.5)
-# Degree of the smooth course of the mode next to the hum.
+# Numbers of the smooth course of the mode next to the hum, but for a constant.
 _MOST_DEGREE = 7
 # Passes between hum and mode.
 _PASSES = 4
+
+# Of the duration of a decay.
+_SLOPE_STEP = 1e-6
 
 _WANDERS_HZ = np.linspace(-0.06, 0.06, 13)
 
@@ -77,11 +80,11 @@ def without_hum(
             slow = slow_amplitude(clean, sample_rate, ridge, 1)
         except BenchError:
             return samples, ()
-        mode = _smooth(slow, lines, samples.size, sample_rate, switched_off)
+        mode = _smooth(slow, lines, samples.size, sample_rate, switched_off, bool(found))
         if mode is None:
             return samples, ()
-        signal, size, first, apart = mode
-        fitted, found = _lines_in(samples - signal, size, sample_rate, apart, first)
+        signal, size, first, lines = mode
+        fitted, found = _lines_in(samples - signal, size, sample_rate, lines, first)
         if not found:
             return samples, ()
         clean = samples - fitted
@@ -89,9 +92,17 @@ def without_hum(
 
 
 def _smooth(
-    slow: SlowAmplitude, lines: Sequence[float], count: int, sample_rate: float, switched_off: int
+    slow: SlowAmplitude, lines: list[float], count: int, sample_rate: float, switched_off: int, apart: bool
 ) -> tuple[FloatArray, FloatArray, int, list[float]] | None:
     """The mode sample by sample.
+
+    Args:
+        slow: of the mode.
+        lines: Hz.
+        count: samples.
+        sample_rate: Hz.
+        switched_off: periods at the beginning that are not free yet.
+        apart: the lines are known to beat with the mode; without them less of the decay stands out.
 
     Returns:
         Mode and its amplitude, each (count,), the first sample where they hold, and the lines with the mode; None
@@ -103,27 +114,39 @@ def _smooth(
     time, turned = slow.time_s[first:stop], slow.phase[first:stop]
     hertz = np.gradient(turned, time) / (2.0 * math.pi)
     # A frequency that moves with the amplitude may pass a line, or end at it.
-    beats = {
-        line: float(np.quantile(np.abs(hertz - line), DECAYS.hum_passing_share) * (time[-1] - time[0]))
-        for line in lines
-    }
-    apart = [line for line in lines if beats[line] > DECAYS.hum_fewest_beats]
-    if not apart:
+    duration = float(time[-1] - time[0])
+    near = {line: float(np.quantile(np.abs(hertz - line), DECAYS.hum_passing_share)) * duration for line in lines}
+    lines = [line for line in lines if apart or near[line] > DECAYS.hum_fewest_beats]
+    if not lines:
         return None
-    degree = min(_MOST_DEGREE, int(min(beats[line] for line in apart)))
+    degree = min(_MOST_DEGREE, *(int(np.mean(np.abs(hertz - line)) * duration) for line in lines))
     weights = np.abs(slow.values[first:stop])
     all_times = np.arange(count) / sample_rate
     log = _continued(time, slow.log[first:stop], weights, degree, all_times)
     phase = _continued(time, turned, weights, degree, all_times)
     size = np.exp(np.minimum(log, slow.log.max() + 1.0))
-    return size * np.cos(phase), size, int(np.searchsorted(all_times, time[0])), apart
+    return size * np.cos(phase), size, int(np.searchsorted(all_times, time[0])), lines
 
 
 def _continued(time: FloatArray, values: FloatArray, weights: FloatArray, degree: int, at: FloatArray) -> FloatArray:
-    """A weighted polynomial at times, continued along straight lines beyond those that it was fitted to."""
-    fit = np.polynomial.Polynomial.fit(time, values, degree, w=weights)
+    """A smooth course at times, continued along straight lines beyond those that it was fitted to.
+
+    It is linear in time plus a polynomial of an amplitude that falls exponentially: a frequency or damping that depends
+    on the amplitude changes fast at first.
+    """
+    duration = float(time[-1] - time[0])
+    rate = max(math.log(weights[0] / weights[-1]), 1.0)
+
+    def basis(t: FloatArray) -> FloatArray:
+        share = (t - time[0]) / duration
+        return np.column_stack((share, np.polynomial.legendre.legvander(2.0 * np.exp(-rate * share) - 1.0, degree - 1)))
+
+    fitted, *_ = np.linalg.lstsq(basis(time) * weights[:, np.newaxis], values * weights, rcond=None)
     inside = np.clip(at, time[0], time[-1])
-    return np.asarray(fit(inside) + fit.deriv()(inside) * (at - inside))
+    step = _SLOPE_STEP * duration
+    ahead = basis(inside + step) @ fitted
+    found = basis(inside) @ fitted
+    return np.asarray(found + (ahead - found) / step * (at - inside))
 
 
 def _lines_in(

@@ -17,7 +17,7 @@ class DecayThresholds:
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_fewest_beats]",
     )  # fmt: skip
     hum_passing_share: float = threshold(
-        0.05, "1",
+        0.2, "1",
         "Share of a decay that crosses the mains.",
         "tests/signals/test_signal_threshold_edges.py::test_a_threshold_decides[signals.decays.hum_passing_share]",
     )  # fmt: skip

@@ -178,6 +178,24 @@ def test_another_mode_and_the_hammer_are_filtered_out() -> None:
     assert np.abs(z_scores(observations, rig())).max() < 5.0
 
 
+def test_a_band_that_is_too_narrow_for_the_first_periods_is_not_taken() -> None:
+    """A gap stiffens the largest amplitudes alone; quiet small ones must not choose the band."""
+    rate, gap, stiffness = 3000.0, 0.6 * TOP, 2.3 * OMEGA**2
+    times = np.arange(round(2.0 * rate)) / rate
+    run = solve_ivp(
+        lambda _, y: [
+            y[1],
+            -(OMEGA**2) * y[0] - stiffness * (y[0] - np.clip(y[0], -gap, gap)) - 2.0 * RATIO * OMEGA * y[1],
+        ],
+        (0.0, 2.0), [TOP, 0.0], t_eval=times, rtol=1e-9, atol=1e-13, max_step=1e-3,
+    )  # fmt: skip
+    velocity = run.y[1] + 2e-3 * OMEGA * TOP * np.random.default_rng(3).standard_normal(times.size)
+    found = observations_of(velocity, rate, rig())
+    frequencies = np.exp(values(found, Part.LOG_FREQUENCY)) / (2.0 * math.pi)
+    assert frequencies.max() > 1.1 * HZ
+    assert frequencies.min() == pytest.approx(HZ, rel=1e-3)
+
+
 def test_a_knock_spoils_its_own_amplitudes_only() -> None:
     rate = 2000.0
     bad = linear(rate, 5.0)

@@ -181,7 +181,8 @@ def narrower_pays(ratio: float) -> bool:
     log = np.linspace(0.0, -1.0, 10)
     wider, narrower = (
         SimpleNamespace(
-            slow=SimpleNamespace(log=log), good=[SimpleNamespace(first=0, stop=10, omega=1.0, omega_std=std)]
+            slow=SimpleNamespace(log=log),
+            good=[SimpleNamespace(first=0, stop=10, omega=1.0, omega_std=std, amplitude=1.0)],
         )
         for std in (1e-3, ratio * 1e-3)
     )

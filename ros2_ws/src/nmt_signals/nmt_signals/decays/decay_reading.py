@@ -24,6 +24,8 @@ DEMODULATION_WIDTHS = (1, 2, 4)
 """Widths of the demodulation that are tried, in periods."""
 # Amplitudes at which two widths are compared.
 _COMPARED_AMPLITUDES = 60
+# Of two frequencies at one amplitude, beyond which one excludes the other.
+_EXCLUDED_SIGMAS = 5.0
 
 
 @dataclass(frozen=True)
@@ -115,12 +117,27 @@ def _pays(narrower: DecayReading, wider: DecayReading, floor: float) -> bool:
     """Whether a narrower band tells far more of the frequency over most of the amplitudes that either covers.
 
     Fewer and longer segments are each more certain and say no more. What is known better than to the floor that
-    observables have, relative, tells nothing more either: else quiet small amplitudes outvote the large ones.
+    observables have, relative, tells nothing more either: else quiet small amplitudes outvote the large ones. A band
+    that is too narrow for how fast the frequency falls at first has another frequency there than the wide one.
     """
+    if _misses(narrower, wider, floor):
+        return False
     ends = [end for decay in (narrower, wider) for node in decay.good for end in _reach(decay, node)]
     grid = np.linspace(min(ends), max(ends), _COMPARED_AMPLITUDES)
     gain = _covered(narrower, grid, floor) > _covered(wider, grid, floor) / DECAYS.narrower_gain**2
     return float(np.mean(gain)) > 0.5
+
+
+def _misses(narrower: DecayReading, wider: DecayReading, floor: float) -> bool:
+    """Whether the largest amplitude of the wider band has a frequency that the course of the narrower one excludes."""
+    top = max(wider.good, key=lambda node: node.amplitude)
+    two = sorted(narrower.good, key=lambda node: -node.amplitude)[:2]
+    squares = np.array([node.amplitude**2 for node in two])
+    # A spring that hardens or softens moves the frequency with the square of the amplitude.
+    slopes = np.gradient([node.omega for node in two], squares)[0] if len(two) > 1 else 0.0
+    expected = two[0].omega + slopes * max(top.amplitude**2 - squares[0], 0.0)
+    std = math.hypot(top.omega_std, two[0].omega_std, floor * top.omega)
+    return bool(abs(top.omega - expected) > _EXCLUDED_SIGMAS * std)
 
 
 def _reach(decay: DecayReading, node: Node) -> tuple[float, float]:

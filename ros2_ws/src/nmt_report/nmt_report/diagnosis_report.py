@@ -23,7 +23,7 @@ from nmt_report.diagnosis_curves import (
 )
 from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
 from nmt_report.diagnosis_words import (
-    QUESTIONS,
+    answered,
     answers_text,
     channel_text,
     class_text,
@@ -92,7 +92,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         heading=report.rig.name,
         subtitle=report.rig.description,
         verdict=_verdict(d),
-        answers=_answers(d),
+        answers=answered(d),
         cards=_cards(d),
         notices=(*d.warnings, *d.notes),
         footer="Residual: (measured − model) / standard deviation of the noise, as the recordings show it: noise "
@@ -178,15 +178,6 @@ def _level_label(observations: Observations, test: str) -> str:
 def _verdict(d: Diagnosis) -> tuple[str, str]:
     text, kind = verdict_text(d)
     return text[:1].upper() + text[1:], kind
-
-
-def _answers(d: Diagnosis) -> list[tuple[str, str]]:
-    """Sentences by the question that each answers; warnings stand apart."""
-    sentences = [sentence for sentence in d.sentences if sentence not in d.warnings]
-    # Where nothing is named nothing says how far the gap shrinks.
-    names = [*(QUESTIONS[:2] if d.verdict is Verdict.UNKNOWN else QUESTIONS), *(["What next"] if d.next_test else [])]
-    names += [""] * (len(sentences) - len(names))
-    return list(zip(names, sentences, strict=False))
 
 
 def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:

@@ -55,6 +55,16 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
     return text, kind
 
 
+def answered(diagnosis: Diagnosis) -> list[tuple[str, str]]:
+    """Sentences with the question that each answers, empty where it answers none; without the warnings."""
+    said = [sentence for sentence in diagnosis.sentences if sentence not in diagnosis.warnings]
+    # Where nothing is named nothing says how far the gap shrinks.
+    names = list(QUESTIONS[:2] if diagnosis.verdict is Verdict.UNKNOWN else QUESTIONS)
+    names += ["What next"] if diagnosis.next_test else []
+    names += [""] * (len(said) - len(names))
+    return list(zip(names, said, strict=False))
+
+
 def is_partial(diagnosis: Diagnosis) -> bool:
     """Whether what is named leaves more than noise that matters; its probability is one among the library alone."""
     return diagnosis.verdict is Verdict.EFFECT and not diagnosis.adequate

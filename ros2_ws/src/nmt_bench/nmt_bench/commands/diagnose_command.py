@@ -206,15 +206,13 @@ def show(diagnosis: Diagnosis, console: Console, verbose: bool = False) -> None:
         visible_sentence,
         visible_table,
     )
-    from nmt_report.diagnosis_words import QUESTIONS, verdict_text
+    from nmt_report.diagnosis_words import answered, verdict_text
 
     text, kind = verdict_text(diagnosis)
     style = {"good": "bold green", "partly": "bold yellow", "bad": "bold red"}[kind]
     console.print()
     console.print(Text(f"Verdict: {text}", style=style), soft_wrap=True)
-    questions = [*QUESTIONS, "What next"]
-    for number, sentence in enumerate(diagnosis.sentences):
-        question = questions[number] if number < len(questions) else ""
+    for question, sentence in (*answered(diagnosis), *(("Mind", warning) for warning in diagnosis.warnings)):
         console.print(Text.assemble((f"{question:<10}", "bold"), sentence), soft_wrap=not console.is_terminal)
     console.print()
     for table in (

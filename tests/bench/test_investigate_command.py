@@ -9,8 +9,10 @@ import pytest
 
 from nmt_bench.cli import main
 from nmt_bench.command_parser import EXIT_FAILED
-from nmt_bench.commands.investigate_command import reason_of_failure
+from nmt_bench.commands.investigate_command import random_length, reason_of_failure
 from nmt_diagnose.investigation.investigation_record import InvestigationRecord
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import load_rig
 
 RIG = ("--rig", "joint_resonator")
 
@@ -87,3 +89,16 @@ def test_what_another_investigation_measured_is_not_gone_on_with(
     InvestigationRecord(**values).write(tmp_path)  # type: ignore[arg-type]
     assert main(["investigate", "joint_resonator", *RIG, "--out", str(tmp_path)]) == 2
     assert "give another folder with --out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("rig", "least"),
+    [
+        ("frame", 20.0),  # its modes are wide
+        ("beam", 5.0 / (2.0 * 0.0051 * 24.0)),
+        ("joint_resonator", 20.0),  # the narrow rigid-body mode below the mode under test does not count
+    ],
+)
+def test_the_record_of_the_linear_test_resolves_the_narrowest_mode(rig: str, least: float) -> None:
+    assert random_length(linear_description(load_rig(rig))) == pytest.approx(least, rel=0.15)
+    assert random_length(None) == 20.0

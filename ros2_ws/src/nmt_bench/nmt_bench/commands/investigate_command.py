@@ -30,9 +30,14 @@ if TYPE_CHECKING:
     from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
     from nmt_diagnose.ledger.diagnosis import Diagnosis
     from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
+    from nmt_rig.linear_description import LinearDescription
     from nmt_rig.rig import Rig
 
-_DEFAULT_UNTIL, _DEFAULT_PERIODS, _DEFAULT_RANDOM = 0.95, 50, 20.0
+_DEFAULT_UNTIL, _DEFAULT_PERIODS = 0.95, 50
+_RANDOM_S = 20.0, 120.0
+"""Shortest and longest record of the linear test that is chosen."""
+_RESOLVED = 5.0
+"""Lines of a record on the half-power bandwidth of the narrowest resonance."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,8 +61,10 @@ class InvestigateOptions:
         None, "plan of levels, V, which no test goes beyond (default: the real rig's)", metavar="PLAN"
     )
     periods: int = option(_DEFAULT_PERIODS, "whole periods a window (default: 50)", metavar="N")
-    random: float = option(
-        _DEFAULT_RANDOM, "length of each of the two records of the linear test, s (default: 20)", metavar="S"
+    random: float | None = option(
+        None,
+        "length of each of the two records of the linear test, s (default: by the narrowest resonance, 20 to 120)",
+        metavar="S",
     )
     ask: bool = option(False, "ask before each test: yes, no (another one) or stop")
     page: bool = option(
@@ -94,7 +101,7 @@ def run(options: InvestigateOptions) -> int:
         raise BenchError(f"--until is a probability between 0.5 and 1, got {options.until:g}.")
     if options.budget is not None and not options.budget > 0.0:
         raise BenchError(f"--budget must be positive, got {options.budget:g} s.")
-    if options.periods < 2 or not 0.0 < options.random < math.inf or options.seed < 0:
+    if options.periods < 2 or (options.random is not None and not 0.0 < options.random < math.inf) or options.seed < 0:
         raise BenchError("--periods must be 2 or more, --random positive and finite and --seed not negative.")
     jobs = worker_count(options)
     for variable in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -184,7 +191,8 @@ def _settings(options: InvestigateOptions, model: Rig) -> InvestigationSettings:
                 "drives structures that rest without a drive; measure it by './nmt run --kind self_excited'."
             )
     band = 0.1 * rig.sample_rate_hz, 0.2 * rig.sample_rate_hz
-    plan_test(name, [levels[0]], overrides=options.set, test="random", band_hz=band, duration=options.random, **bench)
+    random_s = random_length(plan.used_linear) if options.random is None else options.random
+    plan_test(name, [levels[0]], overrides=options.set, test="random", band_hz=band, duration=random_s, **bench)
     hardware = bench.get("device", "") in DEVICE_KINDS
     if not hardware and not options.allow_own_model and same_rig(model, rig):
         raise BenchError(
@@ -196,9 +204,19 @@ def _settings(options: InvestigateOptions, model: Rig) -> InvestigationSettings:
         budget_s=math.inf if options.budget is None else options.budget,
         levels=levels,
         periods=options.periods,
-        random_s=options.random,
+        random_s=random_s,
         fixed_exciter=not options.ask and hardware,
     )
+
+
+def random_length(linear: LinearDescription | None) -> float:
+    """Length of a record, s, whose lines lie dense enough on the narrowest mode from the one under test on."""
+    shortest, longest = _RANDOM_S
+    if linear is None:
+        return shortest
+    omega, ratios = (values[linear.target_mode :] for values in (linear.frequencies_rad_s, linear.damping_ratios))
+    widths = [2.0 * ratio * w / (2.0 * math.pi) for w, ratio in zip(omega, ratios, strict=True) if ratio * w > 0.0]
+    return min(max(_RESOLVED / min(widths, default=math.inf), shortest), longest)
 
 
 @dataclass(frozen=True)

@@ -99,6 +99,16 @@ def test_a_clamp_that_turns_is_that_of_the_full_model_however_soft(model, softer
     np.testing.assert_allclose(found, exact, rtol=1e-3)
 
 
+def test_the_factor_on_all_stiffness_is_none_on_the_springs_of_a_support(model):
+    """A clamp keeps its stiffness in N m/rad where the modulus of the plate is corrected."""
+    compliance = 4.0 * PLATE.compliance
+    exact = full(kind=plates.BOUNDARY, compliance=compliance, modulus=1.2 * PLATE.modulus)
+    soft = f"structure.regions.clamp.rotational_compliance_rad_nm={compliance}"
+    found = frequencies(model, "structure.stiffness_factor=1.2", soft)
+    np.testing.assert_allclose(found, exact, rtol=1e-3)
+    assert found[0] < 0.99 * np.sqrt(1.2) * frequencies(model, soft)[0]
+
+
 def test_rows_of_a_support_that_no_mode_moves_have_no_pattern():
     """A rotation that nothing couples to the structure: one pattern of the translation, none of the rotation."""
     stiffness = np.diag([2.0, 2.0, 1.0, 5.0]) - np.diag([1.0, 1.0, 0.0], 1) - np.diag([1.0, 1.0, 0.0], -1)

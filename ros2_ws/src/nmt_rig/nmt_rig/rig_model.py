@@ -149,7 +149,7 @@ def _matrix_structure(s: MatricesSection) -> Structure:
 
 
 def _add_regions(s: MatricesSection, mass: NDArray[np.float64], stiffness: NDArray[np.float64]) -> None:
-    """Change mass and stiffness to what the regions say."""
+    """Change mass and stiffness to what regions say; the factor on all stiffness is none on springs of a support."""
     for region in s.regions.values():
         if region.stiffness_factor != 1.0:
             stiffness += (region.stiffness_factor - 1.0) * unpacked(str(region.stiffness_n_m))
@@ -157,7 +157,7 @@ def _add_regions(s: MatricesSection, mass: NDArray[np.float64], stiffness: NDArr
             mass += (region.mass_factor - 1.0) * unpacked(str(region.mass_kg))
         for rows, compliance in region.supports:
             if compliance:
-                stiffness[rows, rows] += 1.0 / (compliance * len(region.nodes))
+                stiffness[rows, rows] += 1.0 / (compliance * len(region.nodes) * s.stiffness_factor)
 
 
 def build_elements(rig: Rig, structure: Structure) -> tuple[LocalElement, ...]:

@@ -1,4 +1,4 @@
-"""The replay of a log against a plain simulation that shares no code with it: semi-implicit Euler in closed form."""
+"""Windows of a log in simulation against a plain one that shares no code with it: semi-implicit Euler in closed form."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from nmt_robots.mechanics.readings import DriveSignals, Reading
 from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
-from nmt_robots.report.robot_page import distance
-from nmt_robots.verdict.replay import ChangedJoint, JointReplay, Replay, Simulated, driven_by
+from nmt_robots.verdict.replay import ChangedJoint, Predicted, Replay, Simulated, driven_by, replayed
+from nmt_robots.verdict.joint_verdict import unjudged
 from nmt_robots.verdict.robot_diagnosis import read_log
 
 LATE = Reading(torque_lag_s=0.001)
@@ -52,7 +52,8 @@ class Replayed:
 
     def misses(self, joint: ChangedJoint) -> Any:
         """Simulated less measured position in the last part, rad."""
-        found = Simulated(self.robot, self.log, self.motion, self.driven, [joint]).positions(self.first)
+        rows = self.log.rows - self.first
+        found = Simulated(self.robot, self.log, self.motion, self.driven, [joint]).window(self.first, rows)
         return (found - self.log.position[self.first :])[:, 0]
 
     def effect(self, key: str, shape: str = "") -> Effect:
@@ -120,13 +121,47 @@ def test_a_link_behind_its_transmission_is_simulated_with_its_motor(
 def test_a_measured_torque_acts_in_windows(tmp_path: Path) -> None:
     columns = log_columns(coulomb=0.9)
     columns["tau"] = 60.0 * (columns["des_pos"] - columns["pos"]) - 1.5 * columns["vel"]
-    replayed = Replayed(tmp_path, columns, MEASURED)
-    assert replayed.driven.window == 125
-    missed = replayed.misses(replace(AS_IN_THE_MODEL, coulomb=0.9))
-    as_given = replayed.misses(AS_IN_THE_MODEL)
-    assert rms(missed) < 0.2 * rms(as_given)
-    # Each window starts from the measured motion.
-    assert np.max(np.abs(as_given[::125])) < 1e-3
+    replayed_log = Replayed(tmp_path, columns, MEASURED)
+    joints = [unjudged(joint, 1.0) for joint in replayed_log.robot.joints]
+    robot, log, motion = replayed_log.robot, replayed_log.log, replayed_log.motion
+    found = replayed((robot, log), (robot, log), motion, [LATE], joints, [])
+    assert "measured torque" in found.how
+    assert found.horizons_s == (0.2, 0.5, 1.0)
+    # The pendulum's friction is 0.4 N·m more than the model's: where the joint does not turn back, the error grows with
+    # the square of time.
+    inertia = INERTIA + MASS * LENGTH**2 + ARMATURE
+    simulated = Simulated(robot, log, motion, driven_by(log, LATE), [replace(AS_IN_THE_MODEL, coulomb=0.9)])
+    right = np.array([simulated.window(row, 101)[:, 0] for row in found.starts])
+    wrong = np.abs(found.by_model.missed[:, 100, 0])
+    assert np.max(wrong) == pytest.approx(0.4 / inertia * 0.2**2 / 2.0, rel=0.2)
+    assert rms(right - found.measured[:, :101, 0]) < 0.05 * rms(wrong)
+    # The tool is the pendulum's centre: an angle times its length.
+    assert found.tool == "tool (arm)"
+    after = found.after(found.by_model, 0.2)
+    assert after[1] == pytest.approx(LENGTH * after[0][0], rel=0.02)
+
+
+def test_a_last_part_that_is_too_short_for_a_window_is_said(tmp_path: Path) -> None:
+    columns = {name: values[:1000] if len(values) > 1000 else values for name, values in log_columns().items()}
+    short = Replayed(tmp_path, columns)
+    joints = [unjudged(joint, 1.0) for joint in short.robot.joints]
+    found = replayed((short.robot, short.log), (short.robot, short.log), short.motion, [LATE], joints, [])
+    assert found.horizons_s == (0.2, 0.5)
+    assert "too short for windows of 1 s" in found.sentence
+
+
+def test_a_late_loop_begins_with_the_torque_of_the_motion_before(tmp_path: Path) -> None:
+    replayed_log = Replayed(tmp_path, log_columns(lag_s=0.02))
+    replayed_log.driven = driven_by(replayed_log.log, Reading(command_lag_s=0.02, torque_lag_s=0.001))
+    assert rms(replayed_log.misses(AS_IN_THE_MODEL)[:50]) < 2e-4
+    # The whole loop late: without the torque of before, its first torque would act over all of the delay.
+    late = Reading(torque_lag_s=0.03)
+    first = replayed_log.first
+    driven = driven_by(replayed_log.log, late)
+    simulated = Simulated(replayed_log.robot, replayed_log.log, replayed_log.motion, driven, [AS_IN_THE_MODEL])
+    steps = simulated._by_log(first + np.arange(-60, 0) / 4.0)
+    law = (60.0 * (replayed_log.log.position_command - replayed_log.motion.q) - 1.5 * replayed_log.motion.v)[:, 0]
+    assert steps[:, 0] == pytest.approx(np.interp(first + np.arange(-60, 0) / 4.0, np.arange(len(law)), law))
 
 
 def test_a_motion_that_runs_away_is_no_number(tmp_path: Path) -> None:
@@ -140,21 +175,48 @@ def test_a_diagnosis_replays_its_log_and_has_it_on_the_page(tmp_path: Path) -> N
     diagnosis = diagnosed_pendulum(coulomb=0.9)
     assert diagnosis.replay is not None
     assert diagnosis.replay.changed == {"elbow": "Coulomb friction"}
-    (joint,) = diagnosis.replay.joints
-    assert joint.after < 0.2 * joint.before
+    (before,), tool = diagnosis.replay.after(diagnosis.replay.by_model, 0.5)
+    (after,), tool_after = diagnosis.replay.after(diagnosis.replay.by_changed, 0.5)
+    assert after < 0.2 * before
+    assert tool_after < 0.2 * tool
     write_robot_diagnosis(diagnosis, tmp_path)
     page = (tmp_path / "report.html").read_text()
-    assert 'id="replay"' in page
-    assert "changed model misses" in page
-    assert '"rms_changed"' in (tmp_path / "diagnosis.json").read_text()
+    assert page.index('id="replay"') < page.index('id="joints"')
+    assert "as changed, after 0.5 s" in page
+    assert '"rms_as_changed"' in (tmp_path / "diagnosis.json").read_text()
 
 
-def test_the_page_keeps_angles_and_slides_apart() -> None:
-    def joint(name: str, missed: float) -> JointReplay:
-        return JointReplay(name, np.zeros(3), np.full(3, missed), np.zeros(3))
+def test_the_sentence_keeps_angles_and_slides_apart() -> None:
+    def off(*missed: float) -> Predicted:
+        values = np.broadcast_to(np.array(missed), (2, 60, 3))
+        return Predicted(values, values, np.full((2, 60, 1), 0.005))
 
-    replay = Replay("", np.arange(3.0), (joint("elbow", 0.03), joint("wrist", 0.04), joint("lift", 0.002)), {})
-    assert distance(replay, "before", {"elbow", "wrist"}) == "misses the measured motion by 35.4 mrad and 2 mm rms"
-    assert distance(replay, "before", {"elbow", "wrist", "lift"}) == "misses the measured motion by 28.9 mrad rms"
-    away = replace(replay, joints=(joint("elbow", 0.03), joint("lift", np.nan)))
-    assert distance(away, "before", {"elbow"}) == "runs away"
+    by_model = off(0.03, 0.04, 0.002)
+    replay = Replay("", ("elbow", "wrist", "lift"), (True, True, False), "tool (hand)", 0.01, np.arange(2),
+                    np.zeros((2, 60, 3)), by_model, by_model, {})  # fmt: skip
+    assert replay.sentence == (
+        "After 0.2 and 0.5 s from a measured state the model is off by (rms), as given: tool (hand) 5 and 5 mm, "
+        "joints that turn 35.4 and 35.4 mrad, joints that slide 2 and 2 mm. "
+    )
+    assert "(runs away)" in replace(replay, by_model=off(0.03, np.nan, 0.002)).sentence
+
+
+def test_each_limb_has_an_end(tmp_path: Path) -> None:
+    path = tmp_path / "two.xml"
+    path.write_text(
+        """<mujoco><worldbody><body name="hip"><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+        <joint name="hip" axis="0 1 0"/>
+        <body name="left" pos="0 1 0"><inertial pos="0 0 -0.2" mass="1" diaginertia="1 1 1"/>
+        <joint name="left" axis="0 1 0"/>
+        <body name="foot" pos="0 0 -0.5"><inertial pos="0 0 0" mass="0.1" diaginertia="0.01 0.01 0.01"/></body></body>
+        <body name="right" pos="0 -1 0"><inertial pos="0 0 -0.3" mass="1" diaginertia="1 1 1"/>
+        <joint name="right" type="slide" axis="0 0 1"/></body>
+        </body></worldbody></mujoco>"""
+    )
+    robot = RobotModel(path)
+    names = ("hip", "left", "right")
+    ends = robot.ends(names)
+    assert [end.name for end in ends] == ["foot", "right"]
+    places = robot.places(ends, names, np.array([[0.0, np.pi / 2.0, 0.1], [np.nan, 0.0, 0.0]]))
+    assert places[0] == pytest.approx(np.array([[-0.5, 1.0, 0.0], [0.0, -1.0, -0.2]]), abs=1e-12)
+    assert np.all(np.isnan(places[1]))

@@ -12,6 +12,8 @@ class Thresholds:
     Attributes:
         sticking_rad_s: speed below which a joint may stick; such rows are no equations, rad/s (m/s of a slide).
         smallest_share: of a joint's torque (rms); nothing smaller is claimed, a user's own tolerances are as large.
+        smallest_new: the same of friction, damping and armature that a model does not state, so that it has no
+            tolerance for them.
         certain: an effect is claimed beyond so many of its standard uncertainties.
         certain_over_readings: the same with the spread between readings of the log in the uncertainty, a bound.
         alike: cosine between what two effects add beyond the usual terms; above it they are one class.
@@ -40,6 +42,7 @@ class Thresholds:
 
     sticking_rad_s: float = 0.06
     smallest_share: float = 0.03
+    smallest_new: float = 0.01
     certain: float = 3.0
     certain_over_readings: float = 2.5
     alike: float = 0.95

@@ -90,6 +90,8 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
 
     console.print()
     console.print(Text(f"Verdict: {diagnosis.verdict}", style="bold"), soft_wrap=True)
+    if diagnosis.replay is not None:
+        console.print(Text(f"In motion: {diagnosis.replay.sentence}"), soft_wrap=True)
     for finding in diagnosis.of_file:
         console.print(Text(f"Model: {finding.sentence}"), soft_wrap=True)
     for finding in diagnosis.findings:

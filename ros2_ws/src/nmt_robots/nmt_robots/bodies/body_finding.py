@@ -91,6 +91,7 @@ class BodyFinding:
         before, after: J, torque left on the last part by values of the rows before, as given and as changed; N·m.
         robot: the changed model; the same object where nothing is claimed.
         within: the same with all links moved within the file's tolerances to where they fit best, for the joints.
+        early: as ``robot``, by the rows before the last part alone.
         factor: J, of each joint's logged torque against the real one.
         unseen: what this log cannot tell, by name.
         misfit: largest pull of a tolerance where nothing differs, in standard deviations.
@@ -104,6 +105,7 @@ class BodyFinding:
     probability: float
     robot: RobotModel
     within: RobotModel
+    early: RobotModel
     factor: Array
     effect: Array
     before: Array
@@ -174,7 +176,7 @@ class _Asked:
         unseen = tuple(self._unseen())
         instead = tuple((self._words(item.explanation), share) for item, share in choice.named[1:])
         base = BodyFinding(
-            "none", "", "", probability, self._robot, self._robot, np.ones(width), np.zeros(width), before, before, (),
+            "none", "", "", probability, self._robot, self._robot, self._robot, np.ones(width), np.zeros(width), before, before, (),
             instead, unseen, nothing.pulled, tuple(self._subject(item.explanation) for item, _ in choice.named),
         )  # fmt: skip
         if len(choice.named) > 1:
@@ -260,7 +262,10 @@ class _Asked:
         factor = np.ones(len(self._joints))
         factor += np.where(fitted.spread[self._rows.drives] > 0.05, fitted.numbers[self._rows.drives], 0.0)
         far = evidence.spread(explanation)[1]
-        changes, gravity = self._changes(fitted, np.where(far, fitted.numbers[: len(far)], 0.0)), self._gravity(fitted)
+        changes, before = (
+            self._changes(item, np.where(far, item.numbers[: len(far)], 0.0)) for item in (fitted, first)
+        )
+        gravity = self._gravity(fitted)
         moved = self._changes(fitted, fitted.numbers)
         sentence = (
             f"{_capital(words)}{': ' if sized else ''}{sized}. All joints were asked together; posterior "
@@ -271,7 +276,7 @@ class _Asked:
             base, kind=kind, words=words, subjects=(self._subject(fitted.explanation),), sentence=sentence,
             values=values, effect=evidence.effect(fitted.wide), after=after, factor=factor, changes=changes,
             robot=self._robot.with_bodies(changes, gravity), within=self._robot.with_bodies(moved, gravity),
-            gravity=gravity,
+            early=self._robot.with_bodies(before, self._gravity(first)), gravity=gravity,
         )  # fmt: skip
 
     def _measured(self, best: Weighed, link: int, numbers: tuple[int, ...]) -> tuple[int, ...]:

@@ -54,8 +54,8 @@ def joint_space(
         if effect.key in in_model:
             mean, rms = in_model[effect.key], max(float(np.std(values)), 1e-12)
             left = left - mean * values[:, 0]
-            # A model without a value for it has a tolerance of 1 % of the torque.
-            nuisances.append((_RELATIVE[effect.key] * abs(mean) or 0.01 * size / rms) * values[:, 0])
+            # What a model does not state is left to the log.
+            nuisances.append((_RELATIVE[effect.key] * abs(mean) or size / rms) * values[:, 0])
             lowest = -mean - MARGIN * size / rms
         elif effect.key == "offset":
             nuisances.append(0.02 * size * values[:, 0])

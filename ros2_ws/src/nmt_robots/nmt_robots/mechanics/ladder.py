@@ -131,7 +131,9 @@ class JointMechanics:
         held_out, plain: torque left by these, and by the usual effects alone.
         sticking_excess: share of sticking rows whose torque is beyond Coulomb friction.
         choice: which of them are causes.
-        lost: keys of causes that leave no less on the last part of the log, which their values have not seen.
+        new: keys of the usual effects that the model does not state, so that the log alone says what they are.
+        lost: keys of causes and new effects that leave no less on the last part of the log, which their values have not
+            seen.
     """
 
     shares: tuple[Share, ...]
@@ -139,6 +141,7 @@ class JointMechanics:
     plain: HeldOut
     sticking_excess: float
     choice: JointChoice = JointChoice()
+    new: frozenset[str] = frozenset()
     lost: frozenset[str] = frozenset()
 
     @property
@@ -420,10 +423,11 @@ def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechan
     effects = [*problem.usual, *(item for name in names if (item := problem.rival(*name)) is not None)]
     shares = _shares(problem, effects, problem.fit(effects), named=kept is None)
     coulomb = next(share.size for share in shares if share.effect.key == "coulomb")
-    lost = _lost(problem, effects, choice.causes, space, in_model)
+    new = frozenset(key for key, value in in_model.items() if value == 0.0)
+    lost = _lost(problem, effects, (*choice.causes, *new), space, in_model)
     return JointMechanics(
         tuple(shares), problem.held_out(effects), problem.held_out(problem.usual),
-        problem.excess_in_stick(coulomb), choice, lost,
+        problem.excess_in_stick(coulomb), choice, new, lost,
     )  # fmt: skip
 
 
@@ -449,7 +453,7 @@ def _asked(problem: JointProblem, space: Space) -> tuple[Chosen, list[tuple[str,
 def _lost(
     problem: JointProblem, effects: list[Effect], causes: tuple[str, ...], space: Space, in_model: dict[str, float]
 ) -> frozenset[str]:
-    """Causes that leave no less on the last part of the log, worst first; each is judged without those lost before."""
+    """Causes and new effects that leave no less on the last part of the log, worst first; each is judged without those lost before."""
     kept, lost = list(effects), set[str]()
     while True:
         claimed = [effect for effect in kept if effect.key in causes and effect.key not in lost]
@@ -458,7 +462,7 @@ def _lost(
             effect: max(
                 found[0] / problem.last_without(effect, kept, in_model.get(effect.key, 0.0)),
                 0.0
-                if effect.key == "offset"
+                if effect.key == "offset" or in_model.get(effect.key) == 0.0
                 else found[1] / problem.last_within([item for item in claimed if item is not effect], space),
             )
             for effect in claimed

@@ -74,6 +74,21 @@ class Frames:
 
 
 @dataclass(frozen=True, eq=False)
+class End:
+    """A point of a robot that its last joints carry farthest.
+
+    Attributes:
+        name: of its body.
+        body: number of it.
+        point: 3, in the body's frame, m.
+    """
+
+    name: str
+    body: int
+    point: Array
+
+
+@dataclass(frozen=True, eq=False)
 class BodyChange:
     """A body that is not as in the file.
 
@@ -273,6 +288,37 @@ class RobotModel:
             found.axis[row], found.anchor[row] = axis, anchor
         return found
 
+    def ends(self, names: Sequence[str]) -> list[End]:
+        """Behind each named joint that carries no other named one: the farthest origin or centre of a body."""
+        model, data = self.at_rest()
+        moved = [int(model.jnt_bodyid[number]) for number in self.numbers_of(names)]
+        above = {body: {body} for body in range(model.nbody)}
+        for body in range(1, model.nbody):
+            above[body] |= above[int(model.body_parentid[body])]
+        carrying = {other for body in moved for other in above[body] - {body}}
+        found = []
+        for name, root in zip(names, moved, strict=True):
+            if root in carrying:
+                continue
+            anchor = data.xanchor[self._numbers[name]]
+            points = [
+                (float(np.linalg.norm(data.xpos[body] + data.xmat[body].reshape(3, 3) @ point - anchor)), body, point)
+                for body in range(model.nbody)
+                if root in above[body]
+                for point in (np.zeros(3), np.array(model.body_ipos[body]))
+            ]
+            _, body, point = max(points, key=lambda item: item[0])
+            found.append(End(self.body_name(body), body, point))
+        return found
+
+    def places(self, ends: Sequence[End], names: Sequence[str], q: Array) -> Array:
+        """Where ends of the robot are in each pose (rows × J), rows × ends × 3, m; NaN where the pose is."""
+        everyone, ratios, offsets = self.with_followers(names)
+        frames = self.frames(everyone, np.nan_to_num(q) @ ratios + offsets)
+        found = np.stack([frames.position[:, end.body] + frames.turn[:, end.body] @ end.point for end in ends], axis=1)
+        found[np.any(np.isnan(q), axis=1)] = np.nan
+        return found
+
     def torque(
         self, names: tuple[str, ...], q: Array, v: Array, a: Array, yielding: bool = False, heavier: str = ""
     ) -> Array:
@@ -311,6 +357,22 @@ class RobotModel:
             result[row] = shares @ force
         model.body_mass[bodies] *= 0.5
         return result
+
+    def coupling(self, names: Sequence[str], poses: Array) -> Array:
+        """J × J: torque at one joint over that which accelerates another, rms over poses (rows × J)."""
+        mujoco, model, data = self._mujoco, self._model, self._data
+        speeds, ratios = self._places(names)[1:3]
+        squares, moved = np.zeros((len(names), len(names))), np.zeros((len(names), model.nv))
+        moved[:, speeds] = ratios
+        pushed = np.empty_like(moved)
+        for pose in poses:
+            self._put(names, pose)
+            mujoco.mj_crb(model, data)
+            for result, unit in zip(pushed, moved, strict=True):
+                mujoco.mj_mulM(model, data, result, unit)
+            inertia = moved @ pushed.T
+            squares += (inertia / np.maximum(np.diag(inertia), 1e-12)) ** 2
+        return np.asarray(np.sqrt(squares / max(len(poses), 1)))
 
     def with_followers(self, names: Sequence[str]) -> tuple[tuple[str, ...], Array, Array]:
         """The named joints and those F that follow them without being named; ratios, J × (J + F), and offsets."""

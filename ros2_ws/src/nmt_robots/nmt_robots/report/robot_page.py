@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
 from typing import Any
 
 import matplotlib
@@ -16,7 +15,7 @@ from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import BLUE, MUTED, ORANGE, RED, ReportFigure, figure_style, svg_text
 from nmt_robots.log_faults.finding import is_known
 from nmt_robots.verdict.joint_verdict import JointVerdict
-from nmt_robots.verdict.replay import Replay
+from nmt_robots.verdict.replay import Replay, missed_text
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 _FAULTS = 2
@@ -41,9 +40,9 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
         answers=_answers(diagnosis),
         cards=_cards(diagnosis),
         sections=[
+            *([("replay", "In motion", _replay(diagnosis.replay))] if diagnosis.replay else []),
             ("joints", "Joints", html_figures(figures[:1]) + _joints(diagnosis)),
             *([("bodies", "Bodies", _bodies(diagnosis))] if diagnosis.bodies else []),
-            *([("replay", "The log replayed", _replay(diagnosis.replay))] if diagnosis.replay else []),
             ("held-out", "Held-out motion", html_figures(figures[1:]) + _held_out(diagnosis)),
             *([("others", "Other logs", _others(diagnosis))] if diagnosis.others else []),
             ("terms", "Terms of each joint", _terms(diagnosis)),
@@ -59,38 +58,15 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
 
 
 def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
-    """What differs, in bodies and joints, how far the simulation moves with it, and how the log was read."""
+    """How far the simulation is from the motion, what differs in bodies and joints, and how the log was read."""
     named = [f"{joint.joint.name}: {joint.difference}" for joint in diagnosis.joints if joint.differs]
     faults = [finding.sentence for finding in diagnosis.findings if finding.fault]
-    rows = [] if diagnosis.bodies is None else [("Bodies", diagnosis.bodies.sentence)]
+    rows = [] if diagnosis.replay is None else [("In motion", diagnosis.replay.sentence)]
+    rows += [] if diagnosis.bodies is None else [("Bodies", diagnosis.bodies.sentence)]
     rows.append(("Joints", "; ".join(named) + "." if named else "No joint differs from the model by a named cause."))
-    if diagnosis.replay is not None:
-        which = [("the model as given", "before")]
-        which += [("the changed model", "after")] if diagnosis.replay.changed else []
-        turning = {joint.joint.name for joint in diagnosis.joints if joint.joint.turns}
-        parts = [f"{words} {distance(diagnosis.replay, name, turning)}" for words, name in which]
-        rows.append(("In motion", f"Replayed, {'; '.join(parts)}."))
     read = f"It is read with: {diagnosis.reading.text()}."
     rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["It has no fault."]), read])))
     return rows
-
-
-def distance(replay: Replay, name: str, turning: Collection[str]) -> str:
-    """How far a simulation is from the measured motion: rms over the joints that turn, and over those that slide.
-
-    Args:
-        replay: of the log.
-        name: of the simulation, ``before`` (model as given) or ``after`` (changed model).
-        turning: names of the joints that turn; the others slide.
-    """
-    found = []
-    for unit, of_kind in (("mrad", True), ("mm", False)):
-        squares = [getattr(joint, name) ** 2 for joint in replay.joints if (joint.joint in turning) == of_kind]
-        rms = float(np.sqrt(np.mean(squares))) if squares else 0.0
-        if not is_known(rms):
-            return "runs away"
-        found += [f"{_missed(rms)} {unit}"] if squares else []
-    return f"misses the measured motion by {' and '.join(found)} rms"
 
 
 def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
@@ -199,48 +175,66 @@ def _others(diagnosis: RobotDiagnosis) -> Markup:
 
 
 def _replay(replay: Replay) -> Markup:
-    """The log through the model as given and as changed."""
-    rows = [
-        (item.joint, replay.changed.get(item.joint, "nothing"), _missed(item.before), _missed(item.after))
-        for item in replay.joints
-    ]
-    head = [("joint", ""), ("changed", ""), ("model as given misses", "mrad"), ("changed model misses", "mrad")]
+    """Distance after each horizon, and the windows of the joints that are off most."""
+    if not replay.horizons_s:
+        return html_table([("in motion", "")], [(replay.how,)])
+    found = [(words, replay.after(item, span)) for words, item in replay.models for span in replay.horizons_s]
+    rows = [(f"{replay.tool} (mm)", "", *(missed_text(tool) for _, (_, tool) in found))]
+    for number, (name, turns) in enumerate(zip(replay.joints, replay.turns, strict=True)):
+        missed = (missed_text(float(joints[number])) for _, (joints, _) in found)
+        rows.append((f"{name} ({'mrad' if turns else 'mm'})", replay.changed.get(name, "nothing"), *missed))
+    spans = [f"{words}, after {span:g} s" for words, _ in replay.models for span in replay.horizons_s]
     with figure_style():
         figure = _motions(replay)
-    return html_figures([figure]) + html_table(head, rows, f"{replay.how} Rms of the position; mm of a slide.")
-
-
-def _missed(value: float) -> str:
-    return significant(1e3 * value, 3) if is_known(value) else "runs away"
+    head = [("off by, rms", ""), ("changed", ""), *((words, "") for words in spans)]
+    return html_figures([figure]) + html_table(head, rows, replay.how)
 
 
 def _motions(replay: Replay) -> ReportFigure:
-    """Measured and simulated positions of the joints that are off most, and what each simulation misses."""
-    chosen = sorted(replay.joints, key=lambda item: -np.nan_to_num(item.before, nan=np.inf))[:_REPLAYED_JOINTS]
+    """Error over the horizon, and measured and simulated windows, of the tool and the joints that are off most."""
+    last = replay.after(replay.by_model, replay.horizons_s[-1])[0]
+    chosen = np.argsort(-np.nan_to_num(last, nan=np.inf))[:_REPLAYED_JOINTS]
     every = slice(None, None, max(1, len(replay.time) // _REPLAYED_POINTS))
-    figure = Figure(figsize=(9.2, 1.9 * len(chosen) + 0.5))
-    grid: Any = figure.subplots(len(chosen), 2, squeeze=False, sharex=True)
-    figure.subplots_adjust(left=0.08, right=0.99, top=1.0 - 0.4 / (1.9 * len(chosen) + 0.5), hspace=0.25, wspace=0.2,
-                           bottom=0.45 / (1.9 * len(chosen) + 0.5))  # fmt: skip
-    for (axes, missed), item in zip(grid, chosen, strict=True):
+    apart = _without_overlap(replay)
+    height = 1.9 * (len(chosen) + 1) + 0.5
+    figure = Figure(figsize=(9.2, height))
+    grid: Any = figure.subplots(len(chosen) + 1, 2, squeeze=False)
+    figure.subplots_adjust(left=0.08, right=0.99, top=1.0 - 0.4 / height, hspace=0.3, wspace=0.2, bottom=0.45 / height)
+    for (words, predicted), colour in zip(replay.models, (ORANGE, BLUE), strict=False):
         time = replay.time[every]
-        axes.plot(time, item.measured[every], color=MUTED, linewidth=2.5, label="measured")
-        curves = [(item.by_model, "model as given", ORANGE)]
-        if replay.changed:
-            curves.append((item.by_changed, "changed model", BLUE))
-        for values, label, colour in curves:
-            axes.plot(time, values[every], color=colour, linewidth=0.9, label=label)
-            missed.plot(time, 1e3 * (values - item.measured)[every], color=colour, linewidth=0.9)
-        axes.set_ylabel(f"{item.joint} (rad)")
-        missed.set_ylabel("missed (mrad)")
-    for axes in grid[-1]:
-        axes.set_xlabel("time of the replay (s)")
-    grid[0][0].legend(ncols=3, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+        grid[0][0].plot(time, 1e3 * predicted.ends()[every], color=colour, label=words)
+        for window in replay.starts[apart]:
+            of_window = int(np.flatnonzero(replay.starts == window)[0])
+            since = (window - replay.starts[0]) * replay.step_s + time
+            grid[0][1].plot(since, 1e3 * np.mean(predicted.tool[of_window, every], axis=1), color=colour, linewidth=0.9)
+            for axes, joint in zip(grid[1:, 1], chosen, strict=True):
+                axes.plot(since, replay.measured[of_window, every, joint], color=MUTED, linewidth=2.5, zorder=1)
+                axes.plot(since, predicted.position[of_window, every, joint], color=colour, linewidth=0.9)
+        for axes, joint in zip(grid[1:, 0], chosen, strict=True):
+            axes.plot(time, 1e3 * predicted.joints()[every, joint], color=colour)
+    grid[0][0].set_ylabel("tool off (mm, rms)")
+    grid[0][1].set_ylabel("tool off (mm)")
+    for row, joint in zip(grid[1:], chosen, strict=True):
+        small, whole = ("mrad", "rad") if replay.turns[joint] else ("mm", "m")
+        row[0].set_ylabel(f"off ({small}, rms)")
+        row[1].set_ylabel(f"{replay.joints[joint]} ({whole})")
+    grid[-1][0].set_xlabel("time since the measured state (s)")
+    grid[-1][1].set_xlabel("time (s)")
+    grid[0][0].legend(ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     more = len(replay.joints) - len(chosen)
-    words = "" if replay.changed else "Nothing was changed, so that the changed model is the model as given. "
-    words += "Joints that are off most." + (f" {more} more are in the table." if more else "")
+    words = "Left: error over the horizon. Right: windows; grey is measured. The joints that are off most."
+    words += f" {more} more are in the table." if more else ""
     return ReportFigure("replay", "Measured and simulated motion", words,
-                        svg_text(figure, "replay", "Measured and simulated positions"), wide=True)  # fmt: skip
+                        svg_text(figure, "replay", "Error over the horizon; positions"), wide=True)  # fmt: skip
+
+
+def _without_overlap(replay: Replay) -> list[int]:
+    """Numbers of windows one after the other."""
+    found: list[int] = []
+    for number, start in enumerate(replay.starts):
+        if not found or start - replay.starts[found[-1]] >= len(replay.time):
+            found.append(number)
+    return found
 
 
 def _figures(joint: JointVerdict) -> tuple[float, ...]:

@@ -176,37 +176,45 @@ def without_claims(verdict: JointVerdict, reason: str) -> JointVerdict:
     return replace(verdict, terms=terms, remains=f"{verdict.remains}; {reason}" if verdict.remains else reason)
 
 
-def undisturbed(verdicts: list[JointVerdict]) -> list[JointVerdict]:
-    """The answers with small claims taken back next to a joint that is not understood, whose link's motion is not
-    known.
+def undisturbed(verdicts: list[JointVerdict], coupling: Array) -> list[JointVerdict]:
+    """The answers with claims taken back that are no larger than what a link may do to them whose motion is not known.
 
-    The mass of a link that several joints carry is claimed at its own joint.
+    Friction is not made by the joint's own link. The mass of a link that several joints carry is claimed at its own joint.
+
+    Args:
+        verdicts: of the joints.
+        coupling: J × J: torque at a joint over that which accelerates another one.
     """
-    shares = [
-        item.mechanics.held_out.interleaved / max(item.mechanics.held_out.torque, 1e-300)
-        for item in verdicts
-        if item.mechanics is not None
-    ]
-    loose = any(term.key in TRANSMISSION and term.differs for item in verdicts for term in item.terms)
-    disturbed = loose or max(shares, default=0.0) > _DISTURBING
+    disturbing = np.zeros(len(verdicts))
+    for number, item in enumerate(verdicts):
+        loose = any(term.key in TRANSMISSION and term.differs for term in item.terms)
+        if item.mechanics is not None and (loose or item.left > _DISTURBING * item.torque):
+            disturbing[number] = item.plain if loose else item.left
+    by_others = (coupling * ~np.eye(len(verdicts), dtype=bool)) @ disturbing
     found = []
-    for verdict in verdicts:
+    for verdict, others, own in zip(verdicts, by_others, disturbing, strict=True):
         terms = []
         for term in verdict.terms:
             elsewhere = term.key == "link_mass" and not term.words.endswith(f"link of {verdict.joint.name}")
-            small = term.key not in _FRICTION or term.share < _DISTURBING
-            unclear = disturbed and small and term.key not in TRANSMISSION
+            rubs = term.key in _FRICTION
+            disturbed = 0.0 if rubs and term.share >= _DISTURBING else others if rubs else others + own
+            unclear = term.key not in TRANSMISSION and term.share * verdict.torque < _BEYOND * disturbed
             terms.append(replace(term, differs=term.differs and not elsewhere and not unclear))
         found.append(replace(verdict, terms=tuple(terms)))
     return found
 
 
 def with_body_terms(verdicts: list[JointVerdict], bodies: BodyFinding) -> list[JointVerdict]:
-    """The answers with what differs of the bodies at each joint whose torque it takes a part of, last part included."""
+    """The answers with what differs of the bodies at each joint whose torque it takes a part of, last part included.
+
+    All joints together say of the bodies what a joint alone would say otherwise.
+    """
     if not bodies.claimed:
         return verdicts
     found = []
     for number, verdict in enumerate(verdicts):
+        terms = tuple(replace(term, differs=term.differs and term.key not in _OF_BODIES) for term in verdict.terms)
+        verdict = replace(verdict, terms=terms)
         share = float(bodies.effect[number])
         holds = bool(bodies.after[number] < bodies.before[number])
         if verdict.mechanics is None or share < THRESHOLDS.smallest_share or not holds:
@@ -272,6 +280,8 @@ _OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
 _GAINS = {"kp": "position", "kd": "velocity"}
 _DISTURBING = 0.15
 """Torque left over in a joint, as a share, from which others next to it pay for its motion."""
+_BEYOND = 3.0
+"""Of what another joint's motion may do to a joint, up to which nothing is claimed there."""
 _TOLERANCES = {
     "coulomb": THRESHOLDS.coulomb_tolerance,
     "viscous": THRESHOLDS.damping_tolerance,
@@ -312,12 +322,12 @@ def joint_verdict(
         part = abs(difference) * share.unit_rms / max(best.held_out.torque, 1e-300)
         tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
         differs = bool(
-            part > THRESHOLDS.smallest_share
+            part > (THRESHOLDS.smallest_new if key in best.new else THRESHOLDS.smallest_share)
             and nearest > THRESHOLDS.certain * single
             and nearest > THRESHOLDS.certain * tolerance
             and abs(difference) > THRESHOLDS.certain_over_readings * std
             and share.impossible == 0.0
-            and key in best.causes
+            and key in {*best.causes, *best.new}
             and key not in _OF_FIRST_ORDER
             and not (key in _OF_INERTIA and _OF_FIRST_ORDER & set(best.causes))
             and not any(key in result.lost for result in results)

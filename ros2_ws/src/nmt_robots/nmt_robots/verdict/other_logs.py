@@ -122,8 +122,9 @@ def diagnose_robot_by_logs(
     first = diagnose_robot(model, real[0], progress)
     progress("replaying the log")
     assert first.as_given is not None
+    early = first.model if first.bodies is None else first.bodies.early
     replay = replayed(
-        (first.model, first.as_given[0]), (first.changed, first.log), first.motion, first.as_well, first.joints,
+        (first.model, first.as_given[0]), (early, first.log), first.motion, first.as_well, first.joints,
         first.findings,
     )  # fmt: skip
     others = []

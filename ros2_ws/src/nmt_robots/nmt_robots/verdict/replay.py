@@ -1,9 +1,8 @@
-"""The log once more in simulation: through the model as given, and through the model as it was changed.
+"""How far the simulated robot is from the measured one in motion: open-loop windows from measured states.
 
-Where the law of the drives makes the torque, the log's command goes through it, and the robot moves freely from the
-first row on. Where the torque was measured and is not such a law, it acts in short windows that each start from the
-measured motion, for without a drive an error of the torque grows without bound. Both go over the last part of the log
-with values of the rows before it.
+Each window starts from the measured motion and runs on by itself. Where the law of the drives makes the torque, the
+log's command goes through it; where the torque was measured and is not such a law, it acts as it is. All windows lie in
+the last part of the log, with values of the rows before it, through the model as given and as it was changed.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nmt_robots.log.joint_log import Array, JointLog
-from nmt_robots.log_faults.finding import Finding
+from nmt_robots.log_faults.finding import Finding, is_known
 from nmt_robots.mechanics.columns import Effect, State
 from nmt_robots.mechanics.ladder import first_of_last_part
 from nmt_robots.mechanics.motion import Motion, built_up
@@ -26,8 +25,13 @@ from nmt_robots.model.robot_simulation import RobotSimulation
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.joint_verdict import OF_ALL_JOINTS, JointVerdict
 
+HORIZONS_S = (0.2, 0.5, 1.0)
+"""Lengths of windows after which the distance is stated."""
+_WINDOWS = 16
+"""At most, spread evenly over the last part."""
+_CURVE_S = 0.05
+"""Between points of the error over the horizon in files."""
 _STEP_S = 5e-4
-_WINDOW_S = 0.25
 _FARTHEST = 50.0
 """Angle (rad) or speed over 100 (rad/s) of a simulation that has run away."""
 _DRY = frozenset({"coulomb", "stribeck", "root_friction", "load_friction"})
@@ -35,56 +39,125 @@ _DRY = frozenset({"coulomb", "stribeck", "root_friction", "load_friction"})
 
 
 @dataclass(frozen=True, eq=False)
-class JointReplay:
-    """Motion of a joint over the last part of the log, rows each, rad (m of a slide).
+class Predicted:
+    """Windows through one model.
 
     Attributes:
-        joint: its name.
-        measured, by_model, by_changed: positions.
+        position: windows × rows × J, rad (m of a slide); NaN once the motion has run away.
+        missed: the same, less the measured position.
+        tool: windows × rows × ends, m: distance of each end of the robot from where it was.
     """
 
-    joint: str
-    measured: Array
-    by_model: Array
-    by_changed: Array
+    position: Array
+    missed: Array
+    tool: Array
 
-    @property
-    def before(self) -> float:
-        """Rms residual of the model as given; NaN where its motion runs away."""
-        return float(np.sqrt(np.mean((self.by_model - self.measured) ** 2)))
+    def joints(self) -> Array:
+        """Rows × J: rms over the windows."""
+        return np.asarray(np.sqrt(np.mean(self.missed**2, axis=0)))
 
-    @property
-    def after(self) -> float:
-        """The same of the changed model."""
-        return float(np.sqrt(np.mean((self.by_changed - self.measured) ** 2)))
+    def ends(self) -> Array:
+        """Rows: rms over windows and ends, m."""
+        return np.asarray(np.sqrt(np.mean(self.tool**2, axis=(0, 2))))
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """The log through the model as given and as changed.
+    """Windows of the last part of a log through the model as given and as changed.
 
     Attributes:
-        how: sentence on what drove it, and over which rows.
-        time: rows, s.
-        joints: of the columns of the log.
+        how: what drives them and where they lie; why there are none of a length.
+        joints: names of the columns.
+        turns: of each of them, whether it turns.
+        tool: name of what the distance of the robot's ends is of.
+        step_s: between rows.
+        starts: first rows of the windows.
+        measured: windows × rows × J.
+        by_model, by_changed: what the simulations make of them.
         changed: words of the changes, by joint.
     """
 
     how: str
-    time: Array
-    joints: tuple[JointReplay, ...]
+    joints: tuple[str, ...]
+    turns: tuple[bool, ...]
+    tool: str
+    step_s: float
+    starts: Array
+    measured: Array
+    by_model: Predicted
+    by_changed: Predicted
     changed: dict[str, str]
+
+    @property
+    def time(self) -> Array:
+        """Since the start of a window, s."""
+        return self.step_s * np.arange(self.measured.shape[1])
+
+    @property
+    def horizons_s(self) -> tuple[float, ...]:
+        """Lengths that the last part has room for."""
+        return tuple(span for span in HORIZONS_S if round(span / self.step_s) < self.measured.shape[1])
+
+    def after(self, predicted: Predicted, span_s: float) -> tuple[Array, float]:
+        """Rms distance of each joint (rad, m) and of the tool (m) after a time."""
+        row = round(span_s / self.step_s)
+        return predicted.joints()[row], float(predicted.ends()[row])
+
+    @property
+    def models(self) -> list[tuple[str, Predicted]]:
+        """Words for each simulation, that of the changed model only where something was changed."""
+        return [("as given", self.by_model), *([("as changed", self.by_changed)] if self.by_changed is not self.by_model else [])]
+
+    @property
+    def sentence(self) -> str:
+        """For people: how far tool and joints are off after each time."""
+        if not self.horizons_s:
+            return self.how
+        spans = _enumerated([f"{span:g}" for span in self.horizons_s])
+        parts = []
+        for words, predicted in self.models:
+            found = [self.after(predicted, span) for span in self.horizons_s]
+            whose = [(self.tool, [tool for _, tool in found], "mm")]
+            for name, unit, kind in (("joints that turn", "mrad", True), ("joints that slide", "mm", False)):
+                chosen = np.array(self.turns) == kind
+                if np.any(chosen):
+                    whose.append((name, [float(np.sqrt(np.mean(joints[chosen] ** 2))) for joints, _ in found], unit))
+            parts.append(f"{words}: {', '.join(f'{who} {_sizes(sizes, unit)}' for who, sizes, unit in whose)}")
+        return f"After {spans} s from a measured state the model is off by (rms), {'; '.join(parts)}. {self.how}"
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
+        rows = np.arange(0, self.measured.shape[1], max(1, round(_CURVE_S / self.step_s))) if self.horizons_s else []
         return {
-            "how": self.how,
+            "how": self.how, "sentence": self.sentence, "windows": len(self.starts), "tool": self.tool,
+            "horizons_s": list(self.horizons_s), "time_s": [float(self.time[row]) for row in rows],
+            "tool_rms_m": {
+                words.replace(" ", "_"): [float(predicted.ends()[row]) for row in rows]
+                for words, predicted in self.models
+            },
             "joints": [
-                {"joint": item.joint, "changed": self.changed.get(item.joint, ""), "rms_model": item.before,
-                 "rms_changed": item.after}
-                for item in self.joints
+                {"joint": name, "changed": self.changed.get(name, ""), "unit": "rad" if turns else "m",
+                 **{f"rms_{words.replace(' ', '_')}": [float(predicted.joints()[row, number]) for row in rows]
+                    for words, predicted in self.models}}
+                for number, (name, turns) in enumerate(zip(self.joints, self.turns, strict=True))
             ],
         }  # fmt: skip
+
+
+def _enumerated(words: Sequence[str]) -> str:
+    return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
+
+
+def _sizes(values: Sequence[float], unit: str) -> str:
+    """In thousandths."""
+    return f"{_enumerated([missed_text(value) for value in values])} {unit}"
+
+
+def missed_text(value: float) -> str:
+    """A distance in mrad or mm, or that there is none."""
+    if not is_known(value):
+        return "(runs away)"
+    return f"{1e3 * value:.0f}" if value >= 0.1 else f"{1e3 * value:.3g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,52 +234,64 @@ def changed_joint(verdict: JointVerdict, faults: Sequence[Finding]) -> ChangedJo
 def replayed(
     original: tuple[RobotModel, JointLog], found: tuple[RobotModel, JointLog], motion: Motion,
     readings: Sequence[Reading], verdicts: Sequence[JointVerdict], faults: Sequence[Finding],
-) -> Replay | None:  # fmt: skip
-    """The last part of a log through the model as given and as changed; None where it has too few rows.
+) -> Replay:  # fmt: skip
+    """Windows of the last part of a log through the model as given and as changed.
 
     Args:
         original: robot and log as they are.
-        found: the same with bodies and constants of drives that were found.
+        found: the same with bodies and constants of drives that were found before the last part.
         motion: of the diagnosis.
         readings: of the log that fit as well.
         verdicts: of the joints.
         faults: findings on the log.
     """
-    first = first_of_last_part(motion)
-    if len(motion.q) - first < 50:
-        return None
+    robot, log = original
+    first, step = first_of_last_part(motion), motion.step_s
+    rows = min(round(HORIZONS_S[-1] / step) + 1, len(motion.q) - first)
+    starts = np.unique(np.linspace(first, len(motion.q) - rows, _WINDOWS).astype(int))
     unchanged = [ChangedJoint.of(verdict.joint) for verdict in verdicts]
     changed = [changed_joint(verdict, faults) for verdict in verdicts]
     # Readings that the torque hardly tells apart may have a command early, which no drive has.
     reading = min(readings, key=lambda item: abs(item.command_lag_s) + abs(item.torque_lag_s))
-    robot, log = original
     driven = driven_by(log, reading)
-    by_model = Simulated(robot, log, motion, driven, unchanged).positions(first)
+    too_short = [f"{span:g}" for span in HORIZONS_S if round(span / step) >= rows]
+    if len(too_short) == len(HORIZONS_S):
+        starts = starts[:0]
+    ends = robot.ends(log.joints)
+    measured = np.stack([log.position[row : row + rows] for row in starts]) if len(starts) else np.empty((0, rows, 1))
+
+    def predicted(robot_of: RobotModel, log_of: JointLog, joints: list[ChangedJoint]) -> Predicted:
+        simulated = Simulated(robot_of, log_of, motion, driven_by(log_of, reading), joints)
+        position = np.array([simulated.window(row, rows) for row in starts]).reshape(measured.shape)
+        # Both through the kinematics of the file: a part that is not mounted stays a point.
+        flat = [values.reshape(-1, values.shape[-1]) for values in (position, measured)]
+        reached, was = (robot.places(ends, log.joints, values) for values in flat)
+        apart = np.linalg.norm(reached - was, axis=2)
+        return Predicted(position, position - measured, apart.reshape(*measured.shape[:2], len(ends)))
+
+    by_model = predicted(robot, log, unchanged)
     by_changed = by_model
-    if found != original or any(item.words for item in changed):
-        by_changed = Simulated(*found, motion, driven_by(found[1], reading), changed).positions(first)
-    rows = slice(first, None)
-    joints = tuple(
-        JointReplay(name, log.position[rows, number], by_model[:, number], by_changed[:, number])
-        for number, name in enumerate(log.joints)
-    )
-    span = f"over the last {(len(motion.q) - first) * motion.step_s:.3g} s, with values of the rows before"
-    base = "; the base stands still" if robot.floating else ""
-    how = (
-        f"The command of the log through the drives' law ({reading.text()}), free from the first row on, {span}{base}."
-        if driven.window is None
-        else f"The measured torque in windows of {driven.window * motion.step_s:.2g} s, each from the measured motion, "
-        f"{span}{base}."
-    )
     words = {name: item.words for name, item in zip(log.joints, changed, strict=True) if item.words}
-    return Replay(how, np.arange(len(by_model)) * motion.step_s, joints, words)
+    if found[0] is not robot or found[1] is not log or words:
+        by_changed = predicted(*found, changed)
+    span = f"the last {(len(motion.q) - first) * step:.3g} s, with values of the rows before"
+    what = f"the command through the drives' law ({reading.text()})" if driven.is_law else "the measured torque"
+    how = f"{len(starts)} windows of {span}, driven by {what}{'; the base stands still' if robot.floating else ''}."
+    if too_short:
+        how = "" if not len(starts) else how + " "
+        how += f"The last part of the log, {(len(motion.q) - first) * step:.2g} s, is too short for windows of " + (
+            f"{_enumerated(too_short)} s."
+        )
+    tool = f"tool ({ends[0].name})" if len(ends) == 1 else f"ends of {len(ends)} limbs"
+    turns = tuple(verdict.joint.turns for verdict in verdicts)
+    return Replay(how, log.joints, turns, tool, step, starts, measured, by_model, by_changed, words)
 
 
 @dataclass(frozen=True, eq=False)
 class Driven:
     """What drives a replay, N × J: command (rad), its speed (rad/s), torque on top of the law or measured (N·m).
 
-    ``window``: rows after which it starts anew from the measured motion; None = never.
+    ``is_law``: whether the law makes the torque.
     ``delay_s``: of the law's torque.
     """
 
@@ -214,7 +299,7 @@ class Driven:
     speed: Array
     torque: Array
     gains: tuple[Array, Array]
-    window: int | None
+    is_law: bool
     delay_s: float
 
 
@@ -230,11 +315,11 @@ def driven_by(log: JointLog, reading: Reading) -> Driven:
         speed = still if log.velocity_command is None else log.velocity_command
         torque = still if log.torque_command is None else log.torque_command
         return Driven(
-            drive.command(reading), speed, torque, (log.position_gain, damped), None, max(reading.torque_lag_s, 0.0)
+            drive.command(reading), speed, torque, (log.position_gain, damped), True, max(reading.torque_lag_s, 0.0)
         )
     nothing = np.zeros(len(log.joints))
     torque = DriveTorque(log).torque(reading)
-    return Driven(still, still, torque, (nothing, nothing), max(2, round(_WINDOW_S / log.step_s)), 0.0)
+    return Driven(still, still, torque, (nothing, nothing), False, 0.0)
 
 
 def _alike(law: Array, measured: Array | None) -> bool:
@@ -242,6 +327,14 @@ def _alike(law: Array, measured: Array | None) -> bool:
     assert measured is not None
     left = np.std(law - measured, axis=0)
     return bool(np.all(left < THRESHOLDS.unexplained * np.maximum(np.std(measured, axis=0), 1e-300)))
+
+
+def _between(values: Array, places: Array) -> Array:
+    """Rows of values at places between them, on the line that joins two."""
+    last = len(values) - 1
+    lower = np.clip(np.floor(places).astype(int), 0, last)
+    share = np.clip(places - lower, 0.0, 1.0)[:, None]
+    return np.asarray((1.0 - share) * values[lower] + share * values[np.minimum(lower + 1, last)])
 
 
 class Simulated:
@@ -267,6 +360,7 @@ class Simulated:
         )
         self._simulation.set_joints(np.where(loose, 0.0, armature), np.where(loose, 0.0, damping))
         self._coulomb, self._loose = coulomb, [int(number) for number in np.flatnonzero(loose)]
+        self._plain = not np.any(loose) and not any(joint.further for joint in joints)
         self._of_bodies = any(joint.has("gravity_scale", "inertia_scale") for joint in joints)
         self._angle, self._speed = np.zeros(len(joints)), np.zeros(len(joints))
         self._reach = np.array([max((effect.reach for effect, _ in joint.further), default=0.0) for joint in joints])
@@ -275,34 +369,35 @@ class Simulated:
             self._built[:, [number]] = built_up(motion.position[:, [number]], self._reach[number])
         self._held, self._before = np.zeros(len(joints)), np.zeros(len(joints))
 
-    def positions(self, first: int) -> Array:
-        """Angles of the encoders from a row on, rows × J, rad; NaN once the motion has run away."""
-        log, driven = self._log, self._driven
-        rows = len(log.position)
-        found = np.full((rows - first, log.position.shape[1]), np.nan)
+    def window(self, first: int, rows: int) -> Array:
+        """Angles of the encoders from the measured state of a row on, rows × J, rad; NaN once they have run away."""
+        driven = self._driven
+        found = np.full((rows, self._log.position.shape[1]), np.nan)
+        places = first + np.arange((rows - 1) * self._parts) / self._parts
+        command, speed, torque = (_between(values, places) for values in (driven.command, driven.speed, driven.torque))
         delay = round(driven.delay_s / self._step)
-        late: list[Array] = []
-        for row in range(first, rows):
-            if row == first or (driven.window is not None and (row - first) % driven.window == 0):
-                self._reset(row)
-            q, v = self._encoders()
+        late = list(self._by_log(first + np.arange(-delay, 0) / self._parts)) if delay else []
+        self._reset(first)
+        q, v = self._encoders()
+        for row in range(rows):
             if not np.all(np.abs(q) + np.abs(v) / 100.0 < _FARTHEST):
                 break
-            found[row - first] = q
-            after = min(row + 1, rows - 1)
-            for part in range(self._parts):
-                share = part / self._parts
-                if part:
-                    q, v = self._encoders()
-                command, speed, torque = (
-                    (1.0 - share) * values[row] + share * values[after]
-                    for values in (driven.command, driven.speed, driven.torque)
-                )
-                error, speed_error = command - q, speed - v
-                late.append(driven.gains[0] * error + driven.gains[1] * speed_error + torque)
-                acting = late.pop(0) if len(late) > delay else late[0]
+            found[row] = q
+            for part in range(row * self._parts, min(row + 1, rows - 1) * self._parts):
+                error, speed_error = command[part] - q, speed[part] - v
+                acting = torque[part]
+                if driven.is_law:
+                    late.append(driven.gains[0] * error + driven.gains[1] * speed_error + acting)
+                    acting = late.pop(0)
                 self._advance(q, v, acting, error, speed_error)
+                q, v = self._encoders()
         return found
+
+    def _by_log(self, places: Array) -> Array:
+        """Torque of the drives as the measured motion has it, at rows and between them."""
+        driven, motion = self._driven, self._motion
+        torque = driven.gains[0] * (driven.command - motion.q) + driven.gains[1] * (driven.speed - motion.v)
+        return _between(torque + driven.torque, places)
 
     def _reset(self, row: int) -> None:
         """Start from the measured motion; a link behind its transmission lies where it carries the bodies."""
@@ -324,6 +419,9 @@ class Simulated:
 
     def _advance(self, q: Array, v: Array, acting: Array, error: Array, speed_error: Array) -> None:
         """One step with all that the joints have next to bodies, armature and damping."""
+        if self._plain:
+            self._simulation.advance(acting, self._coulomb)
+            return
         torque, dry = acting.copy(), self._coulomb.copy()
         gravity = inertial = np.full(len(q), np.nan)
         if self._of_bodies:

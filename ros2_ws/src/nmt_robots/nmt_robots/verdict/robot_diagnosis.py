@@ -55,8 +55,7 @@ from nmt_robots.verdict.transmission_verdict import joint_with_transmission, ver
 
 Progress = Callable[[str], None]
 _POSES = 200
-"""Of a log, in which contacts are searched for."""
-
+"""Of a log, in which contacts are searched for, and links push each other."""
 
 _WITHIN = 2.0
 """Combined standard uncertainties within which two logs say the same."""
@@ -301,7 +300,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     loose = joint_with_transmission(changed, log, motion, drive, as_well, results, joints, found)
     if loose is not None:
         verdicts[loose.number] = verdict_with_transmission(joints[loose.number], loose, verdicts[loose.number])
-    verdicts = undisturbed(verdicts)
+    verdicts = undisturbed(verdicts, changed.coupling(log.joints, motion.q[:: max(1, log.rows // _POSES)]))
     if bodies is not None:
         verdicts = with_body_terms(verdicts, bodies)
     found += scale_findings(tuple(verdicts))

@@ -124,7 +124,7 @@ def test_a_torque_is_the_law_below_its_limit(tmp_path: Path, share: float, compu
     assert log.torque is not None
     wave = np.sqrt(2.0) * np.sin(700.0 * log.time)[:, None]
     torque = log.torque + share * THRESHOLDS.exact * float(np.std(log.torque)) * wave
-    changed, _ = computed_by_law(replace(log, torque=torque))
+    changed, _ = computed_by_law(replace(log, torque=torque), RobotModel(model).joints)
     assert changed.is_arithmetic is computed
     if computed:
         assert changed.position_gain == pytest.approx([60.0], rel=1e-3)

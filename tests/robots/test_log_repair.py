@@ -15,9 +15,11 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not te
 from nmt_robots.log.joint_log import JointLog
 from nmt_robots.log_faults.assignment import assignment_findings
 from nmt_robots.log_faults.repair import (
+    alternation,
     in_radians,
     on_even_clock,
     stale_rows,
+    steps_by_motion,
     time_by_motion,
     time_with_missing_rows,
     unwrapped,
@@ -116,6 +118,24 @@ def test_a_clock_that_jitters_is_read_off_the_motion() -> None:
     mended = on_even_clock(hidden, true)
     ideal = motion_log(true[0] + mended.time)
     assert np.max(np.abs(mended.position - ideal.position)[inner]) < 3e-4
+
+
+def test_rows_in_turn_are_told_by_one_joint_whose_single_rows_do_not_tell() -> None:
+    true = even() + np.where(np.arange(4000) % 2, 0.0004, 0.0)
+    coarse = 2.0 * np.pi / 2**11
+    log = replace(motion_log(true), time=even())
+    one = replace(log, joints=("shoulder",), position=np.round(log.position[:, :1] / coarse) * coarse,
+                  velocity=log.velocity[:, :1], position_command=log.position_command[:, :1])  # fmt: skip
+    assert np.median(steps_by_motion(one)[1]) > 0.3
+    apart, std = alternation(one)
+    assert apart == pytest.approx(0.2, abs=3.0 * std)
+    assert std < 0.01
+    time = time_by_motion(one)
+    mended = on_even_clock(one, time)
+    assert mended.step_s == pytest.approx(0.002, rel=1e-6)
+    inner = slice(200, 3800)
+    assert np.std((time - true)[inner]) < 0.5 * np.std((even() - true)[inner])
+    assert alternation(motion_log(even()))[0] == 0.0
 
 
 def torque_of(model: RobotModel, log: JointLog) -> Any:

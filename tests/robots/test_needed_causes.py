@@ -242,3 +242,16 @@ def test_a_cause_that_leaves_much_is_named_in_part(tmp_path: Path) -> None:
     assert "in part" in joint.difference
     assert joint.to_mapping()["adequate"] is False
     assert next(term for term in joint.to_mapping()["terms"] if term["key"] == "coulomb")["probability"] > 0.9
+
+
+def test_what_a_file_does_not_state_is_read_off_the_log(tmp_path: Path) -> None:
+    bare = robot_file(tmp_path, armature=0.0, damping=0.0, coulomb=0.0)
+    np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.15))
+    joint = diagnose_robot(bare, tmp_path / "log.npz").joints[0]
+    named = {term.key: term for term in joint.terms if term.differs}
+    # Neither has to pay for itself as a cause: the joint has both, and the file says nothing of them.
+    for key, true in (("coulomb", 0.15), ("viscous", 0.2)):
+        assert abs(named[key].value - true) < 3.0 * named[key].std
+    assert named["coulomb"].value == pytest.approx(0.15, rel=0.2)
+    np.savez(tmp_path / "without.npz", **log_columns(coulomb=0.0, damping=0.0, armature=0.0))
+    assert not diagnose_robot(bare, tmp_path / "without.npz").joints[0].differs

@@ -98,15 +98,14 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
         style = "yellow" if finding.fault else ""
         console.print(Text(f"Log: {finding.sentence}", style=style), soft_wrap=True)
     table = Table(box=SIMPLE_HEAD)
-    for head in ("joint", "what differs", "closed", "left (N·m)", "what remains"):
-        table.add_column(head, justify="right" if head in ("closed", "left (N·m)") else "left")
+    for head in ("joint", "what differs", "closed", "left", "what remains"):
+        table.add_column(head, justify="right" if head in ("closed", "left") else "left")
     for joint in diagnosis.joints:
         if joint.mechanics is None:
             table.add_row(joint.joint.name, "not judged", "", "", joint.remains)
             continue
-        table.add_row(
-            joint.joint.name, joint.difference, f"{100 * joint.closed:.0f} %", f"{joint.left:.3f}", joint.remains
-        )
+        left = f"{joint.left:.3f} {joint.joint.effort_unit}"
+        table.add_row(joint.joint.name, joint.difference, f"{100 * joint.closed:.0f} %", left, joint.remains)
     console.print(table)
     for sentence in () if diagnosis.group is None else diagnosis.group.sentences:
         console.print(Text(f"Units: {sentence}"), soft_wrap=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,7 +53,7 @@ def torque_findings(log: JointLog, joints: tuple[Joint, ...], torque: Array) -> 
     return found
 
 
-def computed_by_law(log: JointLog) -> tuple[JointLog, list[Finding]]:
+def computed_by_law(log: JointLog, joints: Sequence[Joint]) -> tuple[JointLog, list[Finding]]:
     """The log with a torque that was given as measured, but is the control law of the drives, taken for what it is.
 
     Such a torque says no more than command, position and speed do, so it is computed of these from here on, in every
@@ -79,7 +80,9 @@ def computed_by_law(log: JointLog) -> tuple[JointLog, list[Finding]]:
     if not left or float(np.median(left)) > THRESHOLDS.exact:
         return log, []
     middle = float(np.median(left))
-    listed = ", ".join(f"{name} {kp:.3g} N·m/rad" for name, (kp, _) in zip(log.joints, gains, strict=True))
+    listed = ", ".join(
+        joint.units(f"{joint.name} {kp:.3g} N·m/rad") for joint, (kp, _) in zip(joints, gains, strict=True)
+    )
     sentence = (
         "The torque that is given as measured is the control law of the drives to "
         f"{100 * middle:.2g} %: it was computed, not measured (position gains {listed})."
@@ -182,7 +185,7 @@ def order_findings(log: JointLog, joints: tuple[Joint, ...], motion: Motion, tor
         found.append(
             Finding(
                 "out_of_range",
-                f"Angles are beyond the joint's range in the model: {', '.join(outside)}; check order, sign, unit and "
+                f"Positions are beyond the joint's range in the model: {', '.join(outside)}; check order, sign, unit and "
                 "zero of these joints.",
                 len(outside), 0.0, "joints", joints=tuple(word.split(" ")[0] for word in outside),
             )

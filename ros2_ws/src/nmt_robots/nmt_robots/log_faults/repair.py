@@ -16,11 +16,17 @@ from scipy.ndimage import uniform_filter1d
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.motion import smoothed, window_of
+from nmt_robots.mechanics.readings import held_time
 from nmt_robots.model.robot_model import Joint
+from nmt_robots.thresholds import THRESHOLDS
 
 _FIELDS = ("position", "velocity", "position_command", "velocity_command", "torque_command", "torque")
 _COMMANDS = ("position_command", "velocity_command", "torque_command")
 _DRIFT_ROWS = 101
+_STRETCHES = 20
+"""Of a log, whose scatter says how certain an alternating clock is."""
+_ALTERNATES = 0.05
+"""Of a step, from which rows that are closer together in turn are a fault."""
 _WHOLE = 0.2
 """Of a row: a step that is so near to a whole number of rows is one."""
 
@@ -112,12 +118,14 @@ def _between(at: Array, values: Array, wanted: Array, held: bool) -> Array:
 
 def on_even_clock(log: JointLog, time: Array) -> JointLog:
     """The log at even steps of another time of its rows, N, s."""
-    step = float(np.median(np.diff(time)))
+    step = 0.5 * float(np.median(time[2:] - time[:-2]))  # steps may alternate
     increasing = np.r_[True, np.diff(np.maximum.accumulate(time)) > 0.05 * step]
     at = time[increasing]
     even = np.arange(at[0], at[-1], step)
+    # A command that changes with the rows moves between them, too.
+    held = held_time(log) >= THRESHOLDS.held_rows * log.step_s
     changed: dict[str, Any] = {
-        name: _between(at, values[increasing], even, name in _COMMANDS)
+        name: _between(at, values[increasing], even, held and name in _COMMANDS)
         for name in _FIELDS
         if (values := getattr(log, name)) is not None
     }
@@ -153,6 +161,30 @@ def _noise(position: Array) -> Array:
     return noise
 
 
+def alternation(log: JointLog) -> tuple[float, float]:
+    """By what share of a step rows are farther apart and closer together in turn, and its standard uncertainty.
+
+    Σ ± v Δq over Σ v Δq of stretches of the log: single rows need not tell, and a noise of the position adds nothing.
+    Zero where it is small or not certain.
+    """
+    nothing = 0.0, float("nan")
+    if log.velocity is None:
+        return nothing
+    moved = np.sum(0.5 * (log.velocity[1:] + log.velocity[:-1]) * np.diff(log.position, axis=0), axis=1)
+    rows = len(moved) // _STRETCHES // 2 * 2
+    if rows < 50:
+        return nothing
+    each = moved[: rows * _STRETCHES].reshape(_STRETCHES, rows)
+    sides = np.array([np.sum(each[:, ::2], axis=1), np.sum(each[:, 1::2], axis=1)])
+    way = np.sum(sides, axis=0)
+    going = way > 0.1 * float(np.mean(way))
+    if np.count_nonzero(going) < 3:
+        return nothing
+    shares = ((sides[0] - sides[1]) / np.where(going, way, 1.0))[going]
+    apart, std = float(np.mean(shares)), float(np.std(shares, ddof=1) / np.sqrt(len(shares)))
+    return (apart, std) if abs(apart) > max(_ALTERNATES, 5.0 * std) else nothing
+
+
 def time_with_missing_rows(log: JointLog) -> tuple[Array, int]:
     """Time of the rows where some between them are missing on a clock that hides it, and how many; 0 = none."""
     steps, std = steps_by_motion(log)
@@ -173,11 +205,15 @@ def time_with_missing_rows(log: JointLog) -> tuple[Array, int]:
 
 def time_by_motion(log: JointLog) -> Array:
     """Time of rows that are off an even clock, N, s; without the drift of the estimate."""
-    steps, std = steps_by_motion(log)
-    steps = np.where(std < 0.3, np.clip(steps, 0.0, 3.0), 1.0)
-    off = np.r_[0.0, np.cumsum(steps - 1.0)]
-    off -= uniform_filter1d(off, _DRIFT_ROWS)
-    off[np.r_[std, np.inf] > 0.3] = 0.0
+    apart = alternation(log)[0]
+    if apart:
+        off = np.where(np.arange(log.rows) % 2, 0.5 * apart, -0.5 * apart)
+    else:
+        steps, std = steps_by_motion(log)
+        steps = np.where(std < 0.3, np.clip(steps, 0.0, 3.0), 1.0)
+        off = np.r_[0.0, np.cumsum(steps - 1.0)]
+        off -= uniform_filter1d(off, _DRIFT_ROWS)
+        off[np.r_[std, np.inf] > 0.3] = 0.0
     time: Array = (np.arange(log.rows) + off) * log.step_s
     return time
 

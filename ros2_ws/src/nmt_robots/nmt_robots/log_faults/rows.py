@@ -6,7 +6,7 @@ import numpy as np
 
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
-from nmt_robots.log_faults.repair import stale_rows, steps_by_motion
+from nmt_robots.log_faults.repair import alternation, stale_rows
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import changes_of
 from nmt_robots.thresholds import THRESHOLDS
@@ -100,16 +100,10 @@ def _spacing(log: JointLog, motion: Motion) -> list[Finding]:
 
 def _alternating(log: JointLog) -> list[Finding]:
     """Rows that are closer together and farther apart in turn, which one joint alone can tell."""
-    steps, uncertainty = steps_by_motion(log)
-    certain = uncertainty < 0.3
-    parity = np.arange(len(steps)) % 2 == 0
-    sides = [steps[certain & side] for side in (parity, ~parity)]
-    if min(len(side) for side in sides) < 50:
+    apart, std = alternation(log)
+    if not apart:
         return []
-    apart = 0.5 * float(abs(np.mean(sides[0]) - np.mean(sides[1])))
-    std = 0.5 * float(np.hypot(*(np.std(side) / np.sqrt(len(side)) for side in sides)))
-    if apart < _JITTER or apart < 5.0 * std:
-        return []
+    apart = abs(apart)
     step = 1e3 * log.step_s
     return [
         Finding(

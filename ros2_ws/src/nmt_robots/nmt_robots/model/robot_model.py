@@ -6,6 +6,7 @@ are not in the torque, so that they are not counted twice.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
@@ -21,6 +22,12 @@ from nmt_robots.model.coupling import Array, Follower, followers
 
 _NOTHING = np.empty(0)
 """Stand-in for features that an older MuJoCo lacks."""
+
+_OF_SLIDES = (
+    (r"N·m", "N"), (r"kg·m²", "kg"), (r"\bmrad\b", "mm"), (r"(?<![a-z])rad(?![a-z])", "m"), (r"\btorque\b", "force"),
+    (r"\ban angle\b", "a distance"), (r"\bangle\b", "position"),
+)  # fmt: skip
+"""Units and words of joints that turn, and those of joints that slide."""
 
 _MOST_TESTS = 200_000_000
 """Of pairs of shapes that are looked at for contacts, over all poses."""
@@ -55,6 +62,37 @@ class Joint:
     damping: float
     coulomb: float
     gear: float = 1.0
+
+    def units(self, text: str) -> str:
+        """A text for a joint that turns as it is for this one."""
+        if self.turns:
+            return text
+        for turning, sliding in _OF_SLIDES:
+            text = re.sub(turning, sliding, text)
+        return text
+
+    @property
+    def effort_unit(self) -> str:
+        """Of what its drive exerts."""
+        return self.units("N·m")
+
+
+def effort_units(joints: Sequence[Joint]) -> str:
+    """Unit of a column that has all joints."""
+    slides = [not joint.turns for joint in joints]
+    return "N·m" if not any(slides) else "N" if all(slides) else "N·m; N of a slide"
+
+
+def rms_by_unit(joints: Sequence[Joint], values: Sequence[float]) -> dict[str, float]:
+    """Rms of efforts over joints, those that turn and those that slide apart, by unit."""
+    units = [joint.effort_unit for joint in joints]
+    of_units = {unit: [value for value, own in zip(values, units, strict=True) if own == unit] for unit in units}
+    return {unit: float(np.sqrt(np.mean(np.square(of_unit)))) for unit, of_unit in of_units.items()}
+
+
+def rms_text(by_unit: dict[str, float]) -> str:
+    """In a sentence."""
+    return " and ".join(f"{value:.3g} {unit}" for unit, value in by_unit.items())
 
 
 @dataclass(frozen=True, eq=False)

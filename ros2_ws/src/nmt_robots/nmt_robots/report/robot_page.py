@@ -14,6 +14,7 @@ from nmt_report.quantity_format import significant
 from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import BLUE, MUTED, ORANGE, RED, ReportFigure, figure_style, svg_text
 from nmt_robots.log_faults.finding import is_known
+from nmt_robots.model.robot_model import effort_units, rms_text
 from nmt_robots.verdict.joint_verdict import JointVerdict
 from nmt_robots.verdict.replay import Replay, missed_text
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
@@ -69,12 +70,16 @@ def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     return rows
 
 
+def _unit(diagnosis: RobotDiagnosis) -> str:
+    return effort_units([joint.joint for joint in diagnosis.joints])
+
+
 def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
-    values = {name: diagnosis.left_over(name) for name in ("torque", "unchanged", "left")}
+    values = {name: rms_text(diagnosis.left_over(name)) for name in ("torque", "unchanged", "left")}
     return [
-        ("Torque", f"{significant(values['torque'], 3)} N·m", "rms over the joints"),
-        ("Left by the model as given", f"{significant(values['unchanged'], 3)} N·m", "held-out seconds"),
-        ("Left with what is named", f"{significant(values['left'], 3)} N·m", "held-out seconds"),
+        ("Torque", values["torque"], "rms over the joints"),
+        ("Left by the model as given", values["unchanged"], "held-out seconds"),
+        ("Left with what is named", values["left"], "held-out seconds"),
     ]
 
 
@@ -115,7 +120,8 @@ def _bodies(diagnosis: RobotDiagnosis) -> Markup:
                 diagnosis.log.joints, found.effect, found.before, found.after, strict=True
             )
         ]
-        head = [("joint", ""), ("change, of its torque", ""), ("left as given", "N·m"), ("left as changed", "N·m")]
+        unit = _unit(diagnosis)
+        head = [("joint", ""), ("change, of its torque", ""), ("left as given", unit), ("left as changed", unit)]
         note = "The last part of the log, below 8 Hz, with bodies and friction of the rows before."
         parts += html_table(head, lefts, note)
     if found.unseen:
@@ -129,7 +135,7 @@ def _bodies(diagnosis: RobotDiagnosis) -> Markup:
 
 def _joints(diagnosis: RobotDiagnosis) -> Markup:
     rows = [_joint_row(joint) for joint in diagnosis.joints]
-    head = [("joint", ""), ("what differs", ""), ("closed", ""), ("torque left", "N·m"), ("what remains", "")]
+    head = [("joint", ""), ("what differs", ""), ("closed", ""), ("torque left", _unit(diagnosis)), ("what remains", "")]
     return html_table(head, rows, "Closed: of the residual of the model as given, on seconds that no fit has seen.")
 
 
@@ -148,10 +154,9 @@ def _held_out(diagnosis: RobotDiagnosis) -> Markup:
         for joint in diagnosis.joints
         if joint.mechanics is not None
     ]
-    head = [
-        ("joint", ""), ("torque", "N·m"), ("model as given", "N·m"), ("plain fit, log as it is", "N·m"),
-        ("plain fit", "N·m"), ("all terms", "N·m"), ("plain fit, last part", "N·m"), ("all terms, last part", "N·m"),
-    ]  # fmt: skip
+    names = ("torque", "model as given", "plain fit, log as it is", "plain fit", "all terms", "plain fit, last part",
+             "all terms, last part")  # fmt: skip
+    head = [("joint", ""), *((name, _unit(diagnosis)) for name in names)]
     return html_table(head, rows, "Last part: fitted to the first 70 % of the rows, judged by the others.")
 
 
@@ -167,7 +172,8 @@ def _others(diagnosis: RobotDiagnosis) -> Markup:
         ]  # fmt: skip
         head = [("joint", ""), ("term", ""), ("first log", ""), ("this log", ""), ("within 2 ±", "")]
         left = [(name, *(significant(value, 3) for value in values)) for name, values in item.left.items()]
-        figures = [("joint", ""), ("torque", "N·m"), ("model as given", "N·m"), ("first log's values", "N·m")]
+        names = ("torque", "model as given", "first log's values")
+        figures = [("joint", ""), *((name, _unit(diagnosis)) for name in names)]
         parts += html_table(figures, left, item.sentence)
         if rows:
             parts += html_table(head, rows)
@@ -328,7 +334,7 @@ def _bars(diagnosis: RobotDiagnosis) -> ReportFigure:
     for shift, name, label, colour in kinds:
         axes.bar(places + shift, [getattr(joint, name) for joint in judged], 0.19, color=colour, label=label)
     axes.set_xticks(places, [joint.joint.name for joint in judged], rotation=30, ha="right")
-    axes.set_ylabel("torque left (N·m)")
+    axes.set_ylabel(f"torque left ({_unit(diagnosis)})")
     axes.legend(ncols=4, loc="lower right", bbox_to_anchor=(1.0, 1.0))
     return ReportFigure("left", "Torque left on held-out seconds", "The lower, the more is explained.",
                         svg_text(figure, "left", "Torque left in each joint"), wide=True)  # fmt: skip

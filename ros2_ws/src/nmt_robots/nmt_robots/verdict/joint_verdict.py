@@ -146,18 +146,19 @@ class JointVerdict:
             words = "; ".join(term.text() for term in self.terms if term.differs)
             if self.adequate:
                 return words
-            return (
+            return self.joint.units(
                 f"{words}; in part: {percent(max(self.closed, 0.0))} of the gap is gone, "
                 f"{percent(self.left / self.torque)} of the torque stays without a name"
             )
         if self.is_as_in_the_model:
             return "nothing: as in the model"
-        return f"not known: the model leaves {percent(self.unchanged / self.torque)} of the torque, no cause is claimed"
+        share = percent(self.unchanged / self.torque)
+        return self.joint.units(f"not known: the model leaves {share} of the torque, no cause is claimed")
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
         return {
-            "joint": self.joint.name, "cause": self.cause, "torque_rms": self.torque, "left_as_logged": self.as_logged,
+            "joint": self.joint.name, "cause": self.cause, "unit": self.joint.effort_unit, "torque_rms": self.torque, "left_as_logged": self.as_logged,
             "left_by_model": self.unchanged, "left_by_plain_fit": self.plain, "left": self.left, "closed": self.closed,
             "adequate": self.adequate,
             "last_part_plain": self.last_plain, "last_part": self.last, "remains": self.remains,
@@ -255,9 +256,10 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
                 sentence += (
                     " The mass of its link would do as well in this log: a known mass, hung on, tells them apart."
                 )
+            units = verdict.joint.units
             found.append(
                 Finding(
-                    share.effect.key, sentence, share.size, share.size_std, share.effect.unit, joints=(name,),
+                    share.effect.key, units(sentence), share.size, share.size_std, units(share.effect.unit), joints=(name,),
                     fault=not bodies, instead=tuple(sorted(bodies)),
                 )
             )  # fmt: skip
@@ -341,9 +343,10 @@ def joint_verdict(
             relative = 0.0 if share.effect.reach else std / max(abs(size), 1e-300)
             std = float(np.hypot(share.stated.std, abs(share.stated.size) * relative))
             words, size, unit = share.stated.words, share.stated.size, share.stated.unit
+        alike, equal = (tuple(map(joint.units, names)) for names in (share.alike, share.equal))
         terms.append(
-            Term(key, words, unit, size, std, reference, part, differs, share.alike,
-                 share.equal, share.impossible, best.choice.probability.get(key, 0.0))
+            Term(key, joint.units(words), joint.units(unit), size, std, reference, part, differs, alike, equal,
+                 share.impossible, best.choice.probability.get(key, 0.0))
         )  # fmt: skip
     # An offset is what other terms leave of their mean: it stands behind them.
     terms.sort(key=lambda term: (not term.differs, term.key == "offset", -term.share))
@@ -351,7 +354,7 @@ def joint_verdict(
     unchanged = _left_by_model(motion, number, best, in_model, put_in)
     return JointVerdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
-        after.interleaved, best.plain.last, after.last, _remains(best),
+        after.interleaved, best.plain.last, after.last, joint.units(_remains(best)),
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from nmt_robots.log_faults.assignment import assignment_findings
 from nmt_robots.log_faults.drive import computed_by_law, order_findings, reading_findings, torque_findings
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.log_faults.repair import (
+    alternation,
     in_radians,
     on_even_clock,
     stale_rows,
@@ -34,7 +35,7 @@ from nmt_robots.mechanics.ladder import JointMechanics, JointProblem, explain
 from nmt_robots.mechanics.motion import Motion, motion_of, with_bodies, with_link_masses, with_yielding_base
 from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading, held_time
 from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
-from nmt_robots.model.robot_model import Joint, RobotModel
+from nmt_robots.model.robot_model import Joint, RobotModel, rms_by_unit, rms_text
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.file_findings import file_findings
 from nmt_robots.verdict.joint_verdict import (
@@ -54,6 +55,8 @@ from nmt_robots.verdict.replay import Replay
 from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
 Progress = Callable[[str], None]
+_CLEARLY_WORSE = 4.0
+"""Squares that a reading leaves with the causes against those of the best one, from which it is none that fits as well."""
 _POSES = 200
 """Of a log, in which contacts are searched for, and links push each other."""
 
@@ -113,10 +116,13 @@ class OtherLog:
         source = f"{self.source} with its own model {self.model}" if self.model else self.source
         if not self.left:
             return f"{source}: {words}; no joint moves in both."
-        model, terms = (float(np.sqrt(np.mean([row[place] ** 2 for row in self.left.values()]))) for place in (1, 2))
+        moved = [item.joint for item in self.joints if item.joint.name in self.left]
+        model, terms = (
+            rms_text(rms_by_unit(moved, [self.left[joint.name][place] for joint in moved])) for place in (1, 2)
+        )
         return (
-            f"{source}: {words}; of its torque the model leaves {model:.3g} N·m, with the first log's values "
-            f"{terms:.3g} N·m (rms over the joints)."
+            f"{source}: {words}; of its torque the model leaves {model}, with the first log's values {terms} (rms over "
+            "the joints)."
         )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -169,15 +175,15 @@ class RobotDiagnosis:
     bodies: BodyFinding | None = None
     as_given: tuple[JointLog, Motion] | None = None
 
-    def left_over(self, which: str) -> float:
-        """Torque left on held-out seconds, rms over the joints that were judged, N·m.
+    def left_over(self, which: str) -> dict[str, float]:
+        """Torque left on held-out seconds, rms over the joints that were judged, by its unit.
 
         Args:
             which: ``torque``, ``unchanged`` (model as given), ``as_logged`` (plain fit of the log as it is), ``plain``
                 or ``left``.
         """
-        values = [getattr(joint, which) for joint in self.joints if joint.mechanics is not None]
-        return float(np.sqrt(np.mean(np.square(values)))) if values else float("nan")
+        judged = [joint for joint in self.joints if joint.mechanics is not None]
+        return rms_by_unit([joint.joint for joint in judged], [getattr(joint, which) for joint in judged])
 
     @property
     def changed(self) -> RobotModel:
@@ -197,10 +203,12 @@ class RobotDiagnosis:
         unknown = f"; {open_joints} without a known cause" if open_joints else ""
         bodies = self.bodies.words if self.bodies is not None else ""
         bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
+        given, named = (rms_text(self.left_over(which)) for which in ("unchanged", "left"))
+        efforts = "force" if all(not joint.joint.turns for joint in judged) else "torque"
         return (
             f"{bodies}Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. "
-            f"On motion that no fit has seen the model as given leaves {self.left_over('unchanged'):.3g} N·m of the "
-            f"torque (rms over the joints), with what is named {self.left_over('left'):.3g} N·m. {log}"
+            f"On motion that no fit has seen the model as given leaves {given} of the "
+            f"{efforts} (rms over the joints), with what is named {named}. {log}"
         )
 
     def to_mapping(self) -> dict[str, Any]:
@@ -248,7 +256,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     progress("torque of the rigid bodies")
     log, motion, found = mended(robot, log, joints)
     found += contact_findings(robot, log)
-    log, law = computed_by_law(log)
+    log, law = computed_by_law(log, joints)
     found += law
     drive = DriveTorque(log)
     progress("looking at the log")
@@ -395,11 +403,13 @@ def mended(robot: RobotModel, log: JointLog, joints: tuple[Joint, ...]) -> tuple
     clocks = [changed]
     if keys & {"uneven_clock", "rows_missing"} and stamps_agree(changed):
         clocks.append(on_even_clock(changed, changed.time))
+    in_turn = bool(alternation(changed)[0])
     if any(finding.key == "hidden_jitter" for finding in rows):
-        clocks.append(on_even_clock(changed, time_by_motion(changed)))
+        # Rows in turn are certain by themselves, and the filter hides them from the torque.
+        clocks = [*([] if in_turn else clocks), on_even_clock(changed, time_by_motion(changed))]
     if clocks[-1] is not log:
         counted = [(item, motion if item is log else motion_of(robot, item)) for item in clocks]
-        if log not in clocks:
+        if log not in clocks and not in_turn:
             counted.append((log, motion_of(robot, log)))
         changed, motion = min(counted, key=lambda item: _least_left(*item))
         if changed is log:
@@ -495,12 +505,20 @@ def _understood(
             alike = [item for item in readings if item != Reading() and scores.alike(item, Reading())]
             readings, first = [Reading(), *alike], plain
     results = {number: [first[number]] for number in movers}
+    as_well = readings[:1]
     for reading in readings[1:]:
         signals = drive.signals(reading)
+        found = {
+            number: explain(JointProblem(motion, number, signals.of(number), names), believed[number], first[number])
+            for number in movers
+        }
+        # What fits as well by friction and armature alone need not with the causes.
+        if left(found) > max(_CLEARLY_WORSE * left(first), THRESHOLDS.smallest_floor**2):
+            continue
+        as_well.append(reading)
         for number in movers:
-            problem = JointProblem(motion, number, signals.of(number), names)
-            results[number].append(explain(problem, believed[number], first[number]))
-    return readings, results
+            results[number].append(found[number])
+    return as_well, results
 
 
 def _put_in(original: tuple[JointLog, Motion], log: JointLog, motion: Motion, reading: Reading) -> Array:

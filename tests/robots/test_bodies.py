@@ -13,6 +13,8 @@ from nmt_laboratories.body_cases import GRAVITY, Case, chain, make_case, tally, 
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
+from nmt_robots.bodies import body_finding as module
+from nmt_robots.bodies.body_choice import EVERY, Explanation
 from nmt_robots.bodies.body_finding import BodyFinding, body_finding
 from nmt_robots.bodies.body_shape import SHAPE, BodyShape, moved_body
 from nmt_robots.log.joint_log import JointLog
@@ -52,6 +54,27 @@ def test_columns_of_links_make_the_torque_of_lagrange(tmp_path: Path) -> None:
         torque[:, joint] += columns @ motion.links[link].parameters
     assert torque == pytest.approx(expected, abs=1e-5 * np.max(np.abs(expected)))
     assert torque == pytest.approx(model.torque(model.names, q, v, a), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("lost", "kept"),
+    [
+        ({(0, 1, 2): 0.0}, (0, 1, 2)),
+        ({(0, 1, 2): 0.5, (0, 1): 0.2, (1,): 0.0}, (1,)),
+        ({(0, 1, 2): 0.5, (0, 1): 0.5}, None),
+        ({(0, 1, 2): 0.5, (0, 1): 0.2, (0,): 0.1}, None),
+    ],
+)
+def test_links_by_which_a_joint_has_more_left_are_not_claimed(
+    monkeypatch: pytest.MonkeyPatch, lost: dict[tuple[int, ...], float], kept: tuple[int, ...] | None
+) -> None:
+    asked = object.__new__(module._Asked)
+    monkeypatch.setattr(asked, "_lost", lambda item, white, before: lost.get(item.links, 1.0), raising=False)
+    every = Explanation("all", tuple((link, EVERY) for link in range(3)))
+    held = asked._holding(every, None, np.ones(3))  # type: ignore[arg-type]
+    assert (None if held is None else held.links) == kept
+    part = Explanation("part", ((0, EVERY), (1, EVERY)), off=0)
+    assert asked._holding(part, None, np.ones(3)) is part  # type: ignore[arg-type]
 
 
 def test_a_changed_body_has_the_torque_of_its_parameters(tmp_path: Path) -> None:

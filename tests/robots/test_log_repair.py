@@ -132,7 +132,7 @@ def test_rows_in_turn_are_told_by_one_joint_whose_single_rows_do_not_tell() -> N
     assert std < 0.01
     time = time_by_motion(one)
     mended = on_even_clock(one, time)
-    assert mended.step_s == pytest.approx(0.002, rel=1e-6)
+    assert mended.step_s == pytest.approx(0.002, rel=1e-3)
     inner = slice(200, 3800)
     assert np.std((time - true)[inner]) < 0.5 * np.std((even() - true)[inner])
     assert alternation(motion_log(even()))[0] == 0.0

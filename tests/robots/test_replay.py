@@ -1,4 +1,4 @@
-"""Windows of a log in simulation against a plain one that shares no code with it: semi-implicit Euler in closed form."""
+"""Windows of a log in simulation against a plain one of other code: semi-implicit Euler in closed form."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from nmt_robots.mechanics.readings import DriveSignals, Reading
 from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
-from nmt_robots.verdict.replay import ChangedJoint, Predicted, Replay, Simulated, driven_by, replayed
 from nmt_robots.verdict.joint_verdict import unjudged
+from nmt_robots.verdict.replay import ChangedJoint, Predicted, Replay, Simulated, driven_by, replayed
 from nmt_robots.verdict.robot_diagnosis import read_log
 
 LATE = Reading(torque_lag_s=0.001)

@@ -16,7 +16,7 @@ import numpy as np
 
 from nmt_core.text.number_words import percent, value_text
 from nmt_robots.bodies.body_choice import EVERY, BodyEvidence, Choice, Explanation, Weighed
-from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, across, body_rows, free_spread, whitened
+from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, Whitened, across, body_rows, free_spread, whitened
 from nmt_robots.bodies.body_shape import SHAPE, moved_body
 from nmt_robots.bodies.robot_parts import Part, last_links, parts_of
 from nmt_robots.log.joint_log import Array, JointLog
@@ -176,8 +176,9 @@ class _Asked:
         unseen = tuple(self._unseen())
         instead = tuple((self._words(item.explanation), share) for item, share in choice.named[1:])
         base = BodyFinding(
-            "none", "", "", probability, self._robot, self._robot, self._robot, np.ones(width), np.zeros(width), before, before, (),
-            instead, unseen, nothing.pulled, tuple(self._subject(item.explanation) for item, _ in choice.named),
+            "none", "", "", probability, self._robot, self._robot, self._robot, np.ones(width), np.zeros(width), before,
+            before, (), instead, unseen, nothing.pulled,
+            tuple(self._subject(item.explanation) for item, _ in choice.named),
         )  # fmt: skip
         if len(choice.named) > 1:
             listed = ", ".join(f"{self._words(item.explanation)} ({percent(share)})" for item, share in choice.named)
@@ -242,19 +243,21 @@ class _Asked:
             for link, numbers in best.explanation.wide
             if (measured := self._measured(best, link, numbers))
         )
-        explanation = replace(best.explanation, wide=wide)
+        early = np.arange(len(self._rows.time)) < _EARLY * len(self._rows.time)
+        white = whitened(self._rows, free_spread(self._rows), early)
+        holding = self._holding(replace(best.explanation, wide=wide), white, base.before)
+        explanation = best.explanation if holding is None else holding
         kind = "part" if explanation.off >= 0 else explanation.kind
         fitted = evidence.weigh(explanation)
-        is_large = float(np.max(evidence.effect(fitted.wide))) >= UNSEEN
-        early = np.arange(len(self._rows.time)) < _EARLY * len(self._rows.time)
-        first = evidence.weigh(explanation, whitened(self._rows, free_spread(self._rows), early))
+        is_large = holding is not None and float(np.max(evidence.effect(fitted.wide))) >= UNSEEN
+        first = evidence.weigh(explanation, white)
         after = self._last_part(first.wide)
         closes = float(np.sum(np.log(after / base.before)))
         if not is_large or closes >= 0.0:
             return replace(
                 base, kind="unknown",
                 sentence=f"{_capital(self._words(best.explanation))} fits best, but its values of the first part of "
-                "the log leave no less of the last part: nothing is claimed.",
+                "the log leave no less of the last part at all joints: nothing is claimed.",
             )  # fmt: skip
         values = tuple(self._values(fitted))
         words = self._words(explanation)
@@ -278,6 +281,33 @@ class _Asked:
             robot=self._robot.with_bodies(changes, gravity), within=self._robot.with_bodies(moved, gravity),
             early=self._robot.with_bodies(before, self._gravity(first)), gravity=gravity,
         )  # fmt: skip
+
+    def _holding(self, explanation: Explanation, white: Whitened, before: Array) -> Explanation | None:
+        """The explanation, without those of several links by which joints have more left on the last part; None where
+        nothing of it holds.
+        """
+        if explanation.off >= 0 or len(explanation.wide) < 2:
+            return explanation
+        lost = self._lost(explanation, white, before)
+        while lost > 0.0:
+            if len(explanation.wide) == 1:
+                return None
+            fewer = [
+                replace(explanation, kind="several", wide=tuple(item for item in explanation.wide if item is not link))
+                for link in explanation.wide
+            ]
+            losses = [self._lost(item, white, before) for item in fewer]
+            least = int(np.argmin(losses))
+            if losses[least] >= lost:
+                return None
+            explanation, lost = fewer[least], losses[least]
+        return explanation
+
+    def _lost(self, explanation: Explanation, white: Whitened, before: Array) -> float:
+        """ln of how much more joints have left on the last part, over those whose torque the links take a part of."""
+        wide = self._evidence.weigh(explanation, white).wide
+        more = np.log(self._last_part(wide) / before)[self._evidence.effect(wide) >= UNSEEN]
+        return float(np.sum(np.maximum(more, 0.0)))
 
     def _measured(self, best: Weighed, link: int, numbers: tuple[int, ...]) -> tuple[int, ...]:
         _, std, spread = best.of_link(link)

@@ -185,8 +185,8 @@ def order_findings(log: JointLog, joints: tuple[Joint, ...], motion: Motion, tor
         found.append(
             Finding(
                 "out_of_range",
-                f"Positions are beyond the joint's range in the model: {', '.join(outside)}; check order, sign, unit and "
-                "zero of these joints.",
+                f"Positions are beyond the joint's range in the model: {', '.join(outside)}; check order, sign, unit "
+                "and zero of these joints.",
                 len(outside), 0.0, "joints", joints=tuple(word.split(" ")[0] for word in outside),
             )
         )  # fmt: skip

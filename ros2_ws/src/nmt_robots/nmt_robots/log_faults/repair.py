@@ -27,6 +27,7 @@ _STRETCHES = 20
 """Of a log, whose scatter says how certain an alternating clock is."""
 _ALTERNATES = 0.05
 """Of a step, from which rows that are closer together in turn are a fault."""
+_GAPS = 0.01
 _WHOLE = 0.2
 """Of a row: a step that is so near to a whole number of rows is one."""
 
@@ -118,7 +119,9 @@ def _between(at: Array, values: Array, wanted: Array, held: bool) -> Array:
 
 def on_even_clock(log: JointLog, time: Array) -> JointLog:
     """The log at even steps of another time of its rows, N, s."""
-    step = 0.5 * float(np.median(time[2:] - time[:-2]))  # steps may alternate
+    mean, step = float(time[-1] - time[0]) / (len(time) - 1), 0.5 * float(np.median(time[2:] - time[:-2]))
+    # Only gaps make the steps longer on the mean.
+    step = mean if abs(mean / step - 1.0) < _GAPS else step
     increasing = np.r_[True, np.diff(np.maximum.accumulate(time)) > 0.05 * step]
     at = time[increasing]
     even = np.arange(at[0], at[-1], step)

@@ -421,10 +421,11 @@ def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechan
         choice = kept.choice
         names = [(share.effect.key, share.effect.shape) for share in kept.shares]
     effects = [*problem.usual, *(item for name in names if (item := problem.rival(*name)) is not None)]
-    shares = _shares(problem, effects, problem.fit(effects), named=kept is None)
-    coulomb = next(share.size for share in shares if share.effect.key == "coulomb")
     new = frozenset(key for key, value in in_model.items() if value == 0.0)
     lost = _lost(problem, effects, (*choice.causes, *new), space, in_model)
+    effects = [effect for effect in effects if effect.key not in lost or effect in problem.usual]
+    shares = _shares(problem, effects, problem.fit(effects), named=kept is None)
+    coulomb = next(share.size for share in shares if share.effect.key == "coulomb")
     return JointMechanics(
         tuple(shares), problem.held_out(effects), problem.held_out(problem.usual),
         problem.excess_in_stick(coulomb), choice, new, lost,
@@ -453,7 +454,10 @@ def _asked(problem: JointProblem, space: Space) -> tuple[Chosen, list[tuple[str,
 def _lost(
     problem: JointProblem, effects: list[Effect], causes: tuple[str, ...], space: Space, in_model: dict[str, float]
 ) -> frozenset[str]:
-    """Causes and new effects that leave no less on the last part of the log, worst first; each is judged without those lost before."""
+    """Causes and new effects that leave no less on the last part of the log, worst first.
+
+    Each is judged without those lost before.
+    """
     kept, lost = list(effects), set[str]()
     while True:
         claimed = [effect for effect in kept if effect.key in causes and effect.key not in lost]

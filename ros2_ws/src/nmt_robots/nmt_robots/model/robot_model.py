@@ -86,7 +86,7 @@ def effort_units(joints: Sequence[Joint]) -> str:
 def rms_by_unit(joints: Sequence[Joint], values: Sequence[float]) -> dict[str, float]:
     """Rms of efforts over joints, those that turn and those that slide apart, by unit."""
     units = [joint.effort_unit for joint in joints]
-    of_units = {unit: [value for value, own in zip(values, units, strict=True) if own == unit] for unit in units}
+    of_units = {unit: [value for value, of in zip(values, units, strict=True) if of == unit] for unit in units}
     return {unit: float(np.sqrt(np.mean(np.square(of_unit)))) for unit, of_unit in of_units.items()}
 
 

@@ -135,7 +135,13 @@ def _bodies(diagnosis: RobotDiagnosis) -> Markup:
 
 def _joints(diagnosis: RobotDiagnosis) -> Markup:
     rows = [_joint_row(joint) for joint in diagnosis.joints]
-    head = [("joint", ""), ("what differs", ""), ("closed", ""), ("torque left", _unit(diagnosis)), ("what remains", "")]
+    head = [
+        ("joint", ""),
+        ("what differs", ""),
+        ("closed", ""),
+        ("torque left", _unit(diagnosis)),
+        ("what remains", ""),
+    ]
     return html_table(head, rows, "Closed: of the residual of the model as given, on seconds that no fit has seen.")
 
 
@@ -221,9 +227,9 @@ def _motions(replay: Replay) -> ReportFigure:
     grid[0][0].set_ylabel("tool off (mm, rms)")
     grid[0][1].set_ylabel("tool off (mm)")
     for row, joint in zip(grid[1:], chosen, strict=True):
-        small, whole = ("mrad", "rad") if replay.turns[joint] else ("mm", "m")
+        small, unit = ("mrad", "rad") if replay.turns[joint] else ("mm", "m")
         row[0].set_ylabel(f"off ({small}, rms)")
-        row[1].set_ylabel(f"{replay.joints[joint]} ({whole})")
+        row[1].set_ylabel(f"{replay.joints[joint]} ({unit})")
     grid[-1][0].set_xlabel("time since the measured state (s)")
     grid[-1][1].set_xlabel("time (s)")
     grid[0][0].legend(ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))

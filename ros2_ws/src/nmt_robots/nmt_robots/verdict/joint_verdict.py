@@ -158,7 +158,8 @@ class JointVerdict:
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
         return {
-            "joint": self.joint.name, "cause": self.cause, "unit": self.joint.effort_unit, "torque_rms": self.torque, "left_as_logged": self.as_logged,
+            "joint": self.joint.name, "cause": self.cause, "unit": self.joint.effort_unit,
+            "torque_rms": self.torque, "left_as_logged": self.as_logged,
             "left_by_model": self.unchanged, "left_by_plain_fit": self.plain, "left": self.left, "closed": self.closed,
             "adequate": self.adequate,
             "last_part_plain": self.last_plain, "last_part": self.last, "remains": self.remains,
@@ -180,7 +181,8 @@ def without_claims(verdict: JointVerdict, reason: str) -> JointVerdict:
 def undisturbed(verdicts: list[JointVerdict], coupling: Array) -> list[JointVerdict]:
     """The answers with claims taken back that are no larger than what a link may do to them whose motion is not known.
 
-    Friction is not made by the joint's own link. The mass of a link that several joints carry is claimed at its own joint.
+    Friction is not made by the joint's own link. The mass of a link that several joints carry is claimed at its own
+    joint.
 
     Args:
         verdicts: of the joints.
@@ -193,12 +195,12 @@ def undisturbed(verdicts: list[JointVerdict], coupling: Array) -> list[JointVerd
             disturbing[number] = item.plain if loose else item.left
     by_others = (coupling * ~np.eye(len(verdicts), dtype=bool)) @ disturbing
     found = []
-    for verdict, others, own in zip(verdicts, by_others, disturbing, strict=True):
+    for verdict, others, itself in zip(verdicts, by_others, disturbing, strict=True):
         terms = []
         for term in verdict.terms:
             elsewhere = term.key == "link_mass" and not term.words.endswith(f"link of {verdict.joint.name}")
             rubs = term.key in _FRICTION
-            disturbed = 0.0 if rubs and term.share >= _DISTURBING else others if rubs else others + own
+            disturbed = 0.0 if rubs and term.share >= _DISTURBING else others if rubs else others + itself
             unclear = term.key not in TRANSMISSION and term.share * verdict.torque < _BEYOND * disturbed
             terms.append(replace(term, differs=term.differs and not elsewhere and not unclear))
         found.append(replace(verdict, terms=tuple(terms)))
@@ -238,7 +240,8 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
         if best is None or best.held_out.interleaved >= THRESHOLDS.unexplained * best.held_out.torque:
             continue
         for share in best.shares:
-            if not share.effect.made_of_torque or share.effect.key not in best.causes:
+            key = share.effect.key
+            if not share.effect.made_of_torque or key not in best.causes or key in best.lost:
                 continue
             name = verdict.joint.name
             bodies = _OF_BODIES & set(best.choice.instead) if share.effect.key == best.causes[0] else set()
@@ -259,7 +262,7 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
             units = verdict.joint.units
             found.append(
                 Finding(
-                    share.effect.key, units(sentence), share.size, share.size_std, units(share.effect.unit), joints=(name,),
+                    key, units(sentence), share.size, share.size_std, units(share.effect.unit), joints=(name,),
                     fault=not bodies, instead=tuple(sorted(bodies)),
                 )
             )  # fmt: skip

@@ -106,7 +106,10 @@ class Replay:
     @property
     def models(self) -> list[tuple[str, Predicted]]:
         """Words for each simulation, that of the changed model only where something was changed."""
-        return [("as given", self.by_model), *([("as changed", self.by_changed)] if self.by_changed is not self.by_model else [])]
+        return [
+            ("as given", self.by_model),
+            *([("as changed", self.by_changed)] if self.by_changed is not self.by_model else []),
+        ]
 
     @property
     def sentence(self) -> str:

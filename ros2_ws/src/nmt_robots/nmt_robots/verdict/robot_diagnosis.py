@@ -56,7 +56,7 @@ from nmt_robots.verdict.transmission_verdict import joint_with_transmission, ver
 
 Progress = Callable[[str], None]
 _CLEARLY_WORSE = 4.0
-"""Squares that a reading leaves with the causes against those of the best one, from which it is none that fits as well."""
+"""Squares that a reading leaves with the causes, against those of the best one, from which it does not fit as well."""
 _POSES = 200
 """Of a log, in which contacts are searched for, and links push each other."""
 
@@ -203,11 +203,11 @@ class RobotDiagnosis:
         unknown = f"; {open_joints} without a known cause" if open_joints else ""
         bodies = self.bodies.words if self.bodies is not None else ""
         bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
-        given, named = (rms_text(self.left_over(which)) for which in ("unchanged", "left"))
+        as_given, named = (rms_text(self.left_over(which)) for which in ("unchanged", "left"))
         efforts = "force" if all(not joint.joint.turns for joint in judged) else "torque"
         return (
             f"{bodies}Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. "
-            f"On motion that no fit has seen the model as given leaves {given} of the "
+            f"On motion that no fit has seen the model as given leaves {as_given} of the "
             f"{efforts} (rms over the joints), with what is named {named}. {log}"
         )
 

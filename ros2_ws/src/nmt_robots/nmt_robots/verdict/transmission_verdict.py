@@ -105,7 +105,15 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
         other = ("elastic transmission",) if alike else ()
         # The stiffness behind it is not reported: it reads a quarter to a half of the true one.
         term = Term(
-            "backlash", "backlash from end to end,", joint.units("rad"), item.gap, item.gap_std, 0.0, found.share, True, other
+            "backlash",
+            "backlash from end to end,",
+            joint.units("rad"),
+            item.gap,
+            item.gap_std,
+            0.0,
+            found.share,
+            True,
+            other,
         )
     else:
         other = ("backlash",) if alike else ()

@@ -130,7 +130,8 @@ class Replay:
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
-        rows = np.arange(0, self.measured.shape[1], max(1, round(_CURVE_S / self.step_s))) if self.horizons_s else []
+        every = max(1, round(_CURVE_S / self.step_s))
+        rows = range(0, self.measured.shape[1] if self.horizons_s else 0, every)
         return {
             "how": self.how, "sentence": self.sentence, "windows": len(self.starts), "tool": self.tool,
             "horizons_s": list(self.horizons_s), "time_s": [float(self.time[row]) for row in rows],

@@ -12,7 +12,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.observables import Part
-from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.observations.read_observations import notes_together, read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_rig.rig import Rig
@@ -49,3 +49,8 @@ def test_random_test_of_a_sticking_joint(tmp_path: Path) -> None:
     z = whitened(observations, rig)
     assert z.size > 400
     assert np.sqrt(np.mean(z**2)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_notes_that_differ_by_the_recording_alone_are_one() -> None:
+    notes = ("a: recorded on rig 'x'", "b: recorded on rig 'x'", "a: recorded on rig 'x'", "b: 2 levels", "No name")
+    assert notes_together(notes) == ("a, b: recorded on rig 'x'", "b: 2 levels", "No name")

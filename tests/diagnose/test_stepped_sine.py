@@ -346,7 +346,7 @@ def test_what_is_assumed_is_said_and_what_cannot_be_is_refused(tmp_path: Path) -
     for number, (segment, message) in enumerate(
         (
             ("unit: m/N, level: 0.5, level_unit: V", "the voltage was held"),
-            ("unit: g/g, level: 0.1, level_unit: g", "no shaking table"),
+            ("unit: g/g, level: 0.1, level_unit: g", "not a shaking table"),
         )
     ):
         folder = tmp_path / str(number)

@@ -120,5 +120,5 @@ def test_responses_without_a_level_are_over_what_they_were_divided_by(
     assert Forward(found.tests, found.rows).difference(found.values, predicted) == pytest.approx(0.0, abs=2e-3)
     if reference == "base":
         still = validate_rig(RigDocument("test", {**words, "exciter": {"kind": "force", "point": 1}}, {}))
-        with pytest.raises(BenchError, match="no shaking table; write exciter"):
+        with pytest.raises(BenchError, match="not a shaking table; write exciter"):
             table_observations("one", [given], still, ObservationSettings())

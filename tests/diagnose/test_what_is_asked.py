@@ -88,7 +88,7 @@ def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
     assert left.group == null.fit.parametrisation.calibration[1].name
     assert left.size == pytest.approx(1.01 * edge)
     assert 0.0 < chance < THRESHOLDS.comparison.incredible_probability
-    assert "standard deviations from what is believed of it" in left.sentence
+    assert "standard deviations from its prior value" in left.sentence
     # Where it goes back to what is credible without a change that matters, it says nothing.
     never = replace(search.data, observations=replace(search.data.observations, matters=dict.fromkeys(NEVER, 1e9)))
     assert implausible_parameters(never, moved(null, -1.01 * edge)) == ((), 1.0)

@@ -94,7 +94,8 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         verdict=_verdict(d),
         answers=answered(d),
         cards=_cards(d),
-        notices=(*d.warnings, *d.notes),
+        notices=d.warnings,
+        notes=d.notes,
         footer="Residual: (measured − model) / standard deviation of the noise, as the recordings show it: noise "
         "leaves a root mean square of about 1. ± standard uncertainty. Model as given: the rig file; re-fitted: its "
         "own parameters adjusted to these tests within what is known of them beforehand; with the effect: re-fitted "

@@ -1,4 +1,4 @@
-"""``report.html`` of an investigation: what was believed over bench time, what was asked and why, what it showed."""
+"""``report.html`` of an investigation: probabilities over bench time, what was asked and why, what it showed."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def investigation_page(record: InvestigationRecord, outcome: DiagnosisOutcome | 
     page = ResponsePage(
         kicker="Investigation",
         heading=Path(record.real).stem or ", ".join(map(_last, record.bags)),
-        subtitle=f"Against the model {Path(record.model).stem}",
+        subtitle=f"Compared with {Path(record.model).name}",
         verdict=verdict,
         answers=[("Conclusion", record.conclusion)] if record.conclusion else [],
         facts=[
@@ -70,8 +70,8 @@ def investigation_page(record: InvestigationRecord, outcome: DiagnosisOutcome | 
         ],
         sections=[
             *(_looked_at(outcome) if outcome is not None else ()),
-            ("timeline", "What was believed over bench time", html_figures(figures)),
-            ("tests", "Tests and what they told", part("table", _linked(record)) if record.tests else Markup()),
+            ("timeline", "Probabilities over bench time", html_figures(figures)),
+            ("tests", "Tests and their results", part("table", _linked(record)) if record.tests else Markup()),
         ],
         footer="Information in nats: what the entropy of the two answers falls by that the test is to set apart.",
     )

@@ -29,6 +29,7 @@ class ResponsePage:
         cards: (label, value, note).
         facts: (name, value); those without a value are left out.
         notices: sentences on what is missing or wrong.
+        notes: sentences on the recordings that do not bear on the answer.
         footer: last line.
         answers: (question, sentence) below the verdict.
     """
@@ -41,6 +42,7 @@ class ResponsePage:
     cards: Sequence[tuple[str, str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     notices: Sequence[str] = ()
+    notes: Sequence[str] = ()
     footer: str = "SI units."
     answers: Sequence[tuple[str, str]] = ()
 

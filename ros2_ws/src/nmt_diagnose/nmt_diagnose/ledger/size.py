@@ -107,7 +107,7 @@ class Objection:
             return "two laws together can imitate one that the library lacks"
         consequence = ", so something unnamed acts too"
         if not self.kind:
-            return f"it takes {self.group} {self.size:.1f} standard deviations from what is believed of it{consequence}"
+            return f"it takes {self.group} {self.size:.1f} standard deviations from its prior value{consequence}"
         size = f"{significant(_PERCENT * self.size, 2)} % of {SIZE_NAMES[self.kind]}"
         return f"{size} ({self.group}) remain that it does not explain{consequence}"
 

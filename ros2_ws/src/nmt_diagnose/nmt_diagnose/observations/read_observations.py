@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -81,7 +81,16 @@ def read_observations(
             inputs=(*observations.inputs, *repeats.inputs),
             origins=(*observations.origins, *repeats.origins),
         )
-    return replace(observations, notes=tuple(dict.fromkeys(notes)))
+    return replace(observations, notes=notes_together(notes))
+
+
+def notes_together(notes: Iterable[str]) -> tuple[str, ...]:
+    """Notes of ``name: sentence``, those with the same sentence as one of all their names, each once."""
+    names: dict[str, dict[str, None]] = {}
+    for note in notes:
+        name, mark, sentence = note.partition(": ")
+        names.setdefault(sentence if mark else note, {})[name if mark else ""] = None
+    return tuple(f"{', '.join(several)}: {text}" if any(several) else text for text, several in names.items())
 
 
 def _read_all(
@@ -152,7 +161,7 @@ def read_bag(bag: Bag, name: str, model: Rig, settings: ObservationSettings) -> 
         model = model.model_copy(update={"coordinate": "angle"})
     rig = run.get("rig")
     if isinstance(rig, str) and rig and rig != model.name:
-        notes.append(f"{name} was recorded on rig '{rig}', the model is '{model.name}'.")
+        notes.append(f"{name}: recorded on rig '{rig}'; the model is '{model.name}'.")
     parts: list[Observations] = []
     found = segments(bag)
     tests = recorded_tests(bag, found)

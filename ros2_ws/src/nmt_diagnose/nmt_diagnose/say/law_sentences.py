@@ -44,7 +44,7 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
                 )
     result += [sentence for law in reading.laws for sentence in _following(law)]
     if reading.late is not None:
-        result.append("Check the clocks, filters and delays of force and motion before the law is believed.")
+        result.append("Check the clocks, filters and delays of force and motion before you rely on the law.")
     if not reading.is_written:
         result.append(
             "It is not written to the rig file, which with it would predict what was left out no better than without."

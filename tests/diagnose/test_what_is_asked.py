@@ -393,3 +393,18 @@ def test_what_a_sensor_adds_and_does_not_matter_is_not_what_the_model_lacks() ->
     assert diagnosis.verdict in (Verdict.NONE, Verdict.CALIBRATION)
     assert diagnosis.too_small is None
     assert not any("The model lacks" in sentence for sentence in diagnosis.sentences)
+
+
+@pytest.mark.parametrize("share", [0.4, 0.004])
+def test_what_two_levels_leave_is_no_noise_however_large_its_learnt_scale(share: float) -> None:
+    """Two levels have no neighbours that would show how much they scatter; what does not matter is no objection."""
+    found = observations_of_model(MODEL, seed=5, drives=(0.8, 1.6))
+    parameters = free_parameters(MODEL, found)
+    used = np.ones(len(found.rows), bool)
+    observations, _, null, data = model_alone(MODEL, found, parameters, used, LowLevelModes(found, MODEL))
+    rows, values = observations.rows, observations.values.copy()
+    values[(rows.test == 0) & (rows.part == Part.LOG_MAGNITUDE) & (rows.harmonic == 1) & (rows.level == 1)] += share
+    data = replace(data, observations=replace(observations, values=values))
+    errors = best_chain_errors(data, null.fit.prediction.values)
+    left = FittedExplanation((), replace(null.fit, errors=errors))
+    assert (contradiction(data, left, DiagnosisSettings().matters) is not None) == (share > 0.1)

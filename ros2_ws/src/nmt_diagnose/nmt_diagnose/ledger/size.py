@@ -186,12 +186,14 @@ def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, flo
     misfit, so the noise is limited to the scatter of neighbouring rows. Arguments as of :func:`left_over`.
     """
     errors = found.fit.errors
-    largest = row_scatter(data.observations, errors.values, data.sigma).largest_scale(data.groups.of, len(data.counts))
-    # Each line of a recorded random test brings the noise of its own neighbourhood.
+    rows, groups = data.observations.rows, data.groups.of
+    largest = row_scatter(data.observations, errors.values, data.sigma).largest_scale(groups, len(data.counts))
+    # Each line of a recorded random test brings the noise of its own neighbourhood, each window its own.
     recorded = [is_broad_band(test) and np.ptp(test.span_s or (0.0,)) > 0.0 for test in data.observations.tests]
-    of_lines = np.unique(data.groups.of[data.used & np.array(recorded)[data.observations.rows.test]])
-    largest[of_lines] = np.minimum(largest[of_lines], THRESHOLDS.verdict.credible_noise_scale**2)
-    weights = np.maximum(errors.weights, 1.0 / largest[data.groups.of])
+    known = np.array(recorded)[rows.test] | (np.isinf(largest)[groups] & (rows.part != Part.SAMPLE))
+    limited = np.unique(groups[data.used & known])
+    largest[limited] = np.minimum(largest[limited], THRESHOLDS.verdict.credible_noise_scale**2)
+    weights = np.maximum(errors.weights, 1.0 / largest[groups])
     left = (errors.residual * np.sqrt(weights))[data.used]
     if not left.size or float(np.sqrt(np.mean(left**2))) <= THRESHOLDS.verdict.left_over_scale:
         return None

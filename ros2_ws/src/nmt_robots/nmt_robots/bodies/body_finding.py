@@ -249,11 +249,13 @@ class _Asked:
         explanation = best.explanation if holding is None else holding
         kind = "part" if explanation.off >= 0 else explanation.kind
         fitted = evidence.weigh(explanation)
-        is_large = holding is not None and float(np.max(evidence.effect(fitted.wide))) >= UNSEEN
+        touched = evidence.effect(fitted.wide) >= UNSEEN
         first = evidence.weigh(explanation, white)
         after = self._last_part(first.wide)
         closes = float(np.sum(np.log(after / base.before)))
-        if not is_large or closes >= 0.0:
+        several = explanation.off < 0 and len(explanation.wide) > 1
+        worse = holding is None or (several and bool(np.any(touched & (after >= base.before))))
+        if not np.any(touched) or closes >= 0.0 or worse:
             return replace(
                 base, kind="unknown",
                 sentence=f"{_capital(self._words(best.explanation))} fits best, but its values of the first part of "

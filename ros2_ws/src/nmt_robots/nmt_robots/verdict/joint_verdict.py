@@ -210,15 +210,13 @@ def undisturbed(verdicts: list[JointVerdict], coupling: Array) -> list[JointVerd
 def with_body_terms(verdicts: list[JointVerdict], bodies: BodyFinding) -> list[JointVerdict]:
     """The answers with what differs of the bodies at each joint whose torque it takes a part of, last part included.
 
-    All joints together say of the bodies what a joint alone would say otherwise.
+    Where all joints together were asked for the bodies, a joint alone does not say what they are.
     """
-    if not bodies.claimed:
-        return verdicts
     found = []
     for number, verdict in enumerate(verdicts):
         terms = tuple(replace(term, differs=term.differs and term.key not in _OF_BODIES) for term in verdict.terms)
         verdict = replace(verdict, terms=terms)
-        share = float(bodies.effect[number])
+        share = float(bodies.effect[number]) if bodies.claimed else 0.0
         holds = bool(bodies.after[number] < bodies.before[number])
         if verdict.mechanics is None or share < THRESHOLDS.smallest_share or not holds:
             found.append(verdict)

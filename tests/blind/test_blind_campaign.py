@@ -185,7 +185,7 @@ def test_a_seal_is_opened_once(campaign: Path) -> None:
         score_campaign(campaign)
     again = score_campaign(campaign, again=True)
     assert again.openings == 2
-    assert "no first look" in markdown(again)
+    assert "not a first look" in markdown(again)
 
 
 def test_the_classifier_learns_from_development_cases_only(campaign: Path, tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ def test_campaigns_do_not_mix(tmp_path: Path) -> None:
         make(tmp_path / "a", seed=4, count=1)
     (tmp_path / "b").mkdir()
     (tmp_path / "b/note.txt").write_text("mine")
-    with pytest.raises(BenchError, match="no campaign"):
+    with pytest.raises(BenchError, match="not a campaign"):
         make(tmp_path / "b")
     with pytest.raises(BenchError, match="no kind of case"):
         make(tmp_path / "c", kinds=("nul",))

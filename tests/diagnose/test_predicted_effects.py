@@ -39,6 +39,7 @@ ON_THE_CHAIN = {
     "power_law_damping@2": (6.0, math.log(0.5)),
     "power_law_damping@1-2": (4.0, math.log(1.7)),
     "structural_damping": (4.0,),
+    "added_stiffness@1-2": (900.0,),
     "viscous_damping@1-2": (5.0,),
     "added_mass@2": (5.0,),
     "one_sided_stop@2": (2.0, math.log(0.5)),

@@ -190,11 +190,11 @@ def test_bouc_wen_becomes_the_jenkins_element():
 def test_a_test_of_a_rig_with_it_can_be_planned(kind):
     """A mode of an attachment that moves no point of the structure is not mistaken for the mode under test."""
     element = {"kind": kind, "point": 1, **CASES[kind][2]}
-    rest = linear_description(oscillator([element]))
+    with_it = linear_description(oscillator([element]))
     bare = linear_description(oscillator([]))
-    assert rest.plant_frequency_rad_s == pytest.approx(rest.frequencies_rad_s[0], rel=0.2)
+    assert with_it.plant_frequency_rad_s == pytest.approx(with_it.frequencies_rad_s[0], rel=0.2)
     if kind == "tuned_mass_quadratic":  # at rest it does not touch the structure
-        assert rest.plant_frequency_rad_s == pytest.approx(bare.plant_frequency_rad_s, rel=1e-9)
+        assert with_it.plant_frequency_rad_s == pytest.approx(bare.plant_frequency_rad_s, rel=1e-9)
 
 
 @pytest.mark.parametrize("kind", ["bouc_wen", "lugre", "eddy_brake", "backlash_damper", "rattling_mass"])

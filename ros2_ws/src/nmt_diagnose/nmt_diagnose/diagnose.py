@@ -399,7 +399,6 @@ def _sentences(
     findings, verdict, leader, named = judgement.findings, judgement.verdict, judgement.leader, judgement.named
     members = named.members if named is not None else ()
     warnings = warned(verdict, judgement.best, answer.calibration, answer.gap, members)
-    warnings += tuple(f"{sentence.rstrip('.')}; nothing of it is left that matters." for sentence in findings.doubtful)
     warnings += without_observables(observations)
     found, row = None if verdict.gap else judgement.comparison.small, answer.too_small
     size = None if found is None else measured_size(findings.data, found)

@@ -18,7 +18,8 @@ from nmt_diagnose.effects.time_effects import CONTROLLER_EFFECTS, TIME_EFFECTS
 from nmt_rig.rig import Rig
 
 ALIKE_AT_EVERY_LEVEL = frozenset({
-    "viscous_damping", "structural_damping", "added_mass", "missing_mode", "local_stiffness", "local_mass",
+    "added_stiffness", "viscous_damping", "structural_damping", "added_mass", "missing_mode", "local_stiffness",
+    "local_mass",
     "clamp_compliance", "stinger_stiffness", "source_impedance",
     "force_gain", "force_cell_mass", "response_gain", "transverse_sensitivity", "sensor_mass", "channel_skew",
     "shared_delay", "drive_hold", "low_pass", "charge_high_pass", "clock_error", "phase_offset", "loop_latency",

@@ -68,7 +68,6 @@ class Findings:
         sources: what an unnamed cause at each place would explain in addition to the model alone.
         inadequate: what the model has to be corrected for before effects can be named.
         factors: channels that were recorded at another scale or sign.
-        doubtful: modes that the model may lack and whose residual does not matter.
         left_out: explanations that were fitted and do not compete.
         law: of the local force that the model lacks, read from held levels; None without such a reading.
         scanned: scores of all candidates on top of the model alone; empty without a search.
@@ -87,7 +86,6 @@ class Findings:
     scored: FittedExplanation
     inadequate: tuple[str, ...] = ()
     factors: tuple[Factor, ...] = ()
-    doubtful: tuple[str, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
     law: LawReading | None = None
     scanned: tuple[Score, ...] = ()
@@ -206,7 +204,6 @@ def find(
     return Findings(
         data, search, as_given, null, tuple(named), hypotheses, comparison, explained, best,
         (*modes.disordered, *lacking), scales,
-        () if MISSING_MODE in best.effects else tuple(it for it in modes.sentences if it not in lacking),
         standing.left_out, law,
         () if settled else tuple(scores()), beside_best,
     )  # fmt: skip

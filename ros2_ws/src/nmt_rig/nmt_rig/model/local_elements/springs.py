@@ -51,7 +51,13 @@ class LinearSpringSection(ElementSection):
     kind: Literal["linear_spring"]
     stiffness_n_m: float
     element: ClassVar = LinearSpring
-    without_effect: ClassVar = "stiffness of the model itself, which is fitted with it"
+    effect: ClassVar = ElementEffect(
+        "added_stiffness", "k x", "Ewins, Modal Testing (2000)", {"k": "stiffness_n_m"}, lambda k, a, w: k, 0.03, 0.03,
+        signed=True, equivalents={
+            "second_friction_contact": "higher levels, at which the contact slips",
+            "clamp_compliance": "several modes in a random test",
+        },
+    )  # fmt: skip
     without_law: ClassVar = "a linear force is an error of the modes"
 
 

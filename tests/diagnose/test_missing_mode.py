@@ -257,3 +257,18 @@ def test_resonances_that_moved_are_no_mode_that_the_model_lacks(tmp_path: Path, 
     if truth.kind == HEAVIER:
         assert (found.ranking[0].effect, found.ranking[0].detail) == ("added_mass", "2")
         assert found.ranking[0].parameters["m"].value == pytest.approx(truth.mass, rel=0.1)
+
+
+def test_noise_makes_no_mode_and_one_quiet_channel_shows_one() -> None:
+    """Displacements are noise from 60 Hz on; an accelerometer shows a small mode at 150 Hz that they cannot show."""
+    lines = np.linspace(8.0, 300.0, 300)
+    rng = np.random.default_rng(8)
+    modes = ((20.0, 1.0), (50.0, 1.0), (150.0, 0.3))
+    motion = sum(size / (f**2 - lines**2 + 0.02j * f * lines) for f, size in modes)
+    responses = np.vstack([*(motion for _ in range(4)), -(lines**2) * motion])
+    noise = np.vstack(
+        [*(np.clip(np.abs(motion[40]) / np.abs(motion), 1e-3, 0.2) for _ in range(4)), np.full(300, 1e-3)]
+    )
+    scatter = rng.standard_normal(responses.shape) + 1j * rng.standard_normal(responses.shape)
+    found = measured_modes(lines, responses * (1.0 + noise * scatter), 2, local=True, noise=noise)
+    np.testing.assert_allclose(found.frequencies_hz, [20.0, 50.0, 150.0], rtol=2e-3)

@@ -9,11 +9,12 @@ lacks and that no effect makes up for.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +47,10 @@ _DAMPING_STD = 0.1
 _VECTOR_FITTING_ROUNDS = 20
 # Additional pairs of poles, which noise and modes outside of the band need.
 _EXTRA_POLE_PAIRS = 3
+# Of the five lines around a pole, those that a channel must have to show it.
+_LINES_AROUND = 3
+# Relative noise below which lines of a response count alike.
+_LEAST_NOISE = 0.01
 # Most steps of a search that brings modes together.
 _START_STEPS = 40
 # Standard deviations of modes: what moves them by less in all moves them by rounding.
@@ -99,7 +104,13 @@ def side_by_side(models: Sequence[Modes]) -> Modes:
     return Modes(first, np.hstack([each.shapes[order] for each, order in zip(models, nearest, strict=True)]))
 
 
-def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: int, local: bool = False) -> Modes:
+def measured_modes(
+    frequency_hz: FloatArray,
+    responses: ComplexArray,
+    expected: int,
+    local: bool = False,
+    noise: FloatArray | None = None,
+) -> Modes:
     """Modes of frequency responses by vector fitting: poles that all channels share are relocated until they stay.
 
     Gustavsen and Semlyen, IEEE Trans. Power Delivery 14 (1999) 1052, with all channels on one set of poles. Kept are
@@ -111,6 +122,7 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
         responses: motions over a force or voltage, (channels, n); not a number where a line is missing.
         expected: modes that are expected.
         local: keep local modes, too.
+        noise: relative standard deviations of the responses, (channels, n); None = not known.
 
     Returns:
         Modes within the lines; shapes are residues over 2π times the last line, (k, channels).
@@ -121,12 +133,14 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
         np.geomspace(frequency_hz[0], frequency_hz[-1], expected + _EXTRA_POLE_PAIRS) / frequency_hz[-1] * (-0.01 + 1j)
     )
     known = np.isfinite(responses)
+    noise = np.zeros(known.shape) if noise is None else np.where(known, noise, 0.0)
+    precision = _LEAST_NOISE / np.hypot(_LEAST_NOISE, noise)
     for _ in range(_VECTOR_FITTING_ROUNDS):
         basis = _basis(s, poles)
         columns, right = [], []
-        for response, present in zip(responses, known, strict=True):
+        for response, present, precise in zip(responses, known, precision, strict=True):
             design = np.hstack([basis, np.ones((s.size, 1)), s[:, None]])
-            weight = present / np.maximum(np.abs(np.where(present, response, 1.0)), 1e-300)
+            weight = present * precise / np.maximum(np.abs(np.where(present, response, 1.0)), 1e-300)
             value = np.where(present, response, 0.0)
             numerator = _real(weight[:, None] * design)
             q = np.linalg.qr(numerator)[0]
@@ -143,49 +157,70 @@ def measured_modes(frequency_hz: FloatArray, responses: ComplexArray, expected: 
         poles = -np.abs(found.real) + 1j * found.imag
         if not poles.size:
             return Modes(np.zeros(0, dtype=np.complex128), np.zeros((0, len(responses)), dtype=np.complex128))
-    return _kept(frequency_hz, responses, known, poles, s, scale, local)
+    return _kept(frequency_hz, responses, known, poles, s, scale, local, noise)
 
 
 def _kept(
     frequency_hz: FloatArray, responses: ComplexArray, known: np.ndarray, poles: ComplexArray, s: ComplexArray,
-    scale: float, local: bool,
+    scale: float, local: bool, noise: FloatArray,
 ) -> Modes:  # fmt: skip
     design = np.hstack([_basis(s, poles), np.ones((s.size, 1)), s[:, None]])
     residues, shares = [], []
     at = _basis(np.asarray(1j * poles.imag), poles)
     every = at.reshape(poles.size, poles.size, 2)
-    for response, present in zip(responses, known, strict=True):
-        weight = (1.0 / np.abs(response[present]))[:, None]
-        found = np.linalg.lstsq(
-            _real(weight * design[present]),
-            _real(np.ones((present.sum(), 1)) * response[present, None] * weight)[:, 0],
-            rcond=None,
-        )[0]
+    precision = _LEAST_NOISE / np.hypot(_LEAST_NOISE, noise)
+    for response, present, precise in zip(responses, known, precision, strict=True):
+        weight = (precise[present] / np.abs(response[present]))[:, None]
+        wanted = _real(response[present, None] * weight)[:, 0]
+        found = np.linalg.lstsq(_real(weight * design[present]), wanted, rcond=None)[0]
         pairs = found[: 2 * poles.size].reshape(-1, 2)
         residues.append(pairs[:, 0] + 1j * pairs[:, 1])
         parts = np.einsum("kjc,jc->kj", every, pairs)
         others = found[-2] + 1j * poles.imag * found[-1]
         # At an antiresonance the sum is zero and any pole is a large share of it; two channels have it at other lines.
-        squares = (
-            np.abs(parts.sum(axis=1) + others) ** 2 if local else np.sum(np.abs(parts) ** 2, axis=1) + abs(others) ** 2
-        )
-        shares.append(np.abs(np.diag(parts)) / np.sqrt(np.maximum(squares, 1e-300)))
-    carried = np.array(shares)
+        sizes = np.abs(np.diag(parts))
+        sums = np.sqrt(np.maximum(np.abs(parts.sum(axis=1) + others) ** 2, 1e-300))
+        apart = np.sqrt(np.maximum(np.sum(np.abs(parts) ** 2, axis=1) + np.abs(others) ** 2, 1e-300))
+        shares.append((sizes / apart, sizes / sums))
+    # A channel is asked where it has lines around a pole, whose noise is less than the share that is asked for.
+    nearest = np.argmin(np.abs(poles.imag[:, None] - s.imag), axis=1)
+    around = np.clip(nearest[:, None] + np.arange(-2, 3), 0, s.size - 1)
+    doubt = THRESHOLDS.modes.missed_sigmas * np.where(known, noise, np.inf)[:, around]
+    doubt = np.sort(doubt, axis=2)[:, :, _LINES_AROUND - 1]
+    of_parts, of_sums = np.moveaxis(np.array(shares), 1, 0)
     damping = -poles.real / np.abs(poles)
     in_hz = scale / (2.0 * np.pi)
     wide = _wider_than_lines(-2.0 * poles.real * in_hz, poles.imag * in_hz, frequency_hz)
     inside = (poles.imag > s[0].imag) & (poles.imag < s[-1].imag)
-    good = inside & wide & (damping < THRESHOLDS.modes.highest_measured_damping) & _carries(carried, local)
+    good = (
+        inside
+        & wide
+        & (damping < THRESHOLDS.modes.highest_measured_damping)
+        & _carries(of_parts, of_sums, doubt, local)
+    )
     order = np.flatnonzero(good)[np.argsort(poles.imag[good])]
     return Modes(poles[order] * scale, np.array(residues).T[order])
 
 
-def _carries(shares: FloatArray, local: bool) -> NDArray[np.bool_]:
-    """Whether poles carry enough of the responses to be modes: shares (channels, k) of them."""
+def _carries(of_parts: FloatArray, of_sums: FloatArray, doubt: FloatArray, local: bool) -> NDArray[np.bool_]:
+    """Whether poles carry enough of the responses to be modes.
+
+    Args:
+        of_parts: their shares of the parts of all poles, (channels, k).
+        of_sums: the same of the response, which is their sum.
+        doubt: shares that noise makes, (channels, k); infinite where a channel has no lines around.
+        local: whether two channels are enough, or one of known noise without another part of that size.
+    """
+    limits = THRESHOLDS.modes
+    main = np.where(doubt < limits.mode_share, of_parts, np.nan)
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # no channel tells
+        largely = np.asarray(np.nanmedian(main, axis=0) > limits.mode_share)
     if not local:
-        return np.asarray(np.median(shares, axis=0) > THRESHOLDS.modes.mode_share)
-    second = np.sort(shares, axis=0)[-2:][0]
-    return np.asarray(second > THRESHOLDS.modes.missing_share)
+        return largely
+    second = np.sort(np.where(doubt < limits.missing_share, of_sums, 0.0), axis=0)[-2:][0]
+    clear = np.any((of_parts > np.maximum(limits.mode_share, 2.0 * doubt)) & (doubt > 0.0), axis=0)
+    return np.asarray((second > limits.missing_share) | clear | largely)
 
 
 def _basis(s: ComplexArray, poles: ComplexArray) -> ComplexArray:
@@ -288,17 +323,18 @@ def disorder(name: str, found: Modes, which: np.ndarray, likeness: FloatArray) -
 
 
 class _Looked(NamedTuple):
-    """Responses of a test (channels, lines), and the model's modes at these channels."""
+    """Responses of a test and their relative noise, both (channels, lines), and the model's modes at these channels."""
 
     test: ResponseLines
     lines: FloatArray
     responses: ComplexArray
+    noise: FloatArray
     model: Modes
 
-    def over(self, lines: FloatArray) -> ComplexArray:
-        """Responses (channels, n) over more lines, not a number where the test has none."""
-        result = np.full((len(self.responses), lines.size), np.nan, dtype=np.complex128)
-        result[:, np.searchsorted(lines, self.lines)] = self.responses
+    def over(self, lines: FloatArray, values: NDArray[Any]) -> NDArray[Any]:
+        """Values (channels, n) over more lines, not a number where the test has none."""
+        result = np.full((len(values), lines.size), np.nan, dtype=values.dtype)
+        result[:, np.searchsorted(lines, self.lines)] = values
         return result
 
 
@@ -309,6 +345,7 @@ class _Together(NamedTuple):
     name: str
     lines: FloatArray
     responses: ComplexArray
+    noise: FloatArray
     model: Modes
 
     @classmethod
@@ -318,7 +355,11 @@ class _Together(NamedTuple):
         first, others = looked[0].test.name, len(looked) - 1
         name = f"{first} with {others} more" if others else first
         model = side_by_side([each.model for each in looked])
-        return cls(looked[0].test, name, lines, np.vstack([each.over(lines) for each in looked]), model)
+        responses, noise = (
+            np.vstack([each.over(lines, values) for each, values in zip(looked, several, strict=True)])
+            for several in ([each.responses for each in looked], [each.noise for each in looked])
+        )
+        return cls(looked[0].test, name, lines, responses, noise, model)
 
     @property
     def band_hz(self) -> tuple[float, float]:
@@ -328,7 +369,7 @@ class _Together(NamedTuple):
     def found(self, local: bool = False) -> Modes:
         """Modes of the responses."""
         inside = (self.model.frequencies_hz > self.lines[0]) & (self.model.frequencies_hz < self.lines[-1])
-        return measured_modes(self.lines, self.responses, int(inside.sum()), local)
+        return measured_modes(self.lines, self.responses, int(inside.sum()), local, self.noise)
 
 
 class LowLevelModes:
@@ -362,14 +403,16 @@ class LowLevelModes:
         """Keep the modes of a test; delays of its channels (s) are taken off, as they are not poles."""
         rows = observations.rows
         responses = np.full((len(test.channels), lines.size), np.nan, dtype=np.complex128)
+        noise = np.full(responses.shape, np.nan)
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.LOG_MAGNITUDE)):
             responses[rows.channel[row], rows.level[row]] = math.exp(observations.values[row])
+            noise[rows.channel[row], rows.level[row]] = observations.std[row]
         for row in np.flatnonzero((rows.test == number) & (rows.part == Part.PHASE)):
             channel = int(rows.channel[row])
             advance = 2.0 * np.pi * rows.frequency_hz[row] * late.get((number, channel), 0.0)
             responses[channel, rows.level[row]] *= np.exp(1j * (observations.values[row] + advance))
         usable = np.isfinite(lines)
-        lines, responses = lines[usable], responses[:, usable]
+        lines, responses, noise = lines[usable], responses[:, usable], noise[:, usable]
         turned = rows.channel[(rows.test == number) & (rows.part == Part.PHASE)]
         kept = (np.isfinite(responses).sum(axis=1) >= THRESHOLDS.modes.fewest_lines) & np.isin(
             np.arange(len(responses)), turned
@@ -378,7 +421,7 @@ class LowLevelModes:
         if model is None or not kept.any() or not lines.size:
             return
         self._looked.setdefault(_key(test), []).append(
-            _Looked(test, lines, responses[kept], Modes(model.poles, model.shapes[:, kept]))
+            _Looked(test, lines, responses[kept], noise[kept], Modes(model.poles, model.shapes[:, kept]))
         )
 
     def compare(self) -> None:

@@ -26,11 +26,11 @@ from nmt_core.options import argument, option
 
 if TYPE_CHECKING:
     from nmt_core.kinds.request import TestRequest
+    from nmt_core.messages.linear_description import LinearDescription
     from nmt_diagnose.investigation.investigation import InvestigationSettings
     from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
     from nmt_diagnose.ledger.diagnosis import Diagnosis
     from nmt_record.exchange.sidecar.calibration_file import CalibrationSheet
-    from nmt_rig.linear_description import LinearDescription
     from nmt_rig.rig import Rig
 
 _DEFAULT_UNTIL, _DEFAULT_PERIODS = 0.95, 50

@@ -7,11 +7,11 @@ import pytest
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
 from nmt_laboratories.robot_gains import compared
-from nmt_robots.verdict.joint_verdict import Term
+from nmt_robots.verdict.joint_verdict import JointTerm
 
 
-def named(key: str, value: float) -> Term:
-    return Term(key, key, "N·m", value, 0.03, 0.0, 0.2, True)
+def named(key: str, value: float) -> JointTerm:
+    return JointTerm(key, key, "N·m", value, 0.03, 0.0, 0.2, True)
 
 
 def test_sizes_of_one_cause_are_compared_in_pairs() -> None:

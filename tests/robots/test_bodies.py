@@ -14,7 +14,7 @@ from nmt_laboratories.body_cases import GRAVITY, Case, chain, make_case, tally, 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
 from nmt_robots.bodies import body_finding as module
-from nmt_robots.bodies.body_choice import EVERY, Explanation
+from nmt_robots.bodies.body_choice import EVERY, BodyExplanation
 from nmt_robots.bodies.body_finding import BodyFinding, body_finding
 from nmt_robots.bodies.body_shape import SHAPE, BodyShape, moved_body
 from nmt_robots.log.joint_log import JointLog
@@ -70,10 +70,10 @@ def test_links_by_which_a_joint_has_more_left_are_not_claimed(
 ) -> None:
     asked = object.__new__(module._Asked)
     monkeypatch.setattr(asked, "_lost", lambda item, white, before: lost.get(item.links, 1.0), raising=False)
-    every = Explanation("all", tuple((link, EVERY) for link in range(3)))
+    every = BodyExplanation("all", tuple((link, EVERY) for link in range(3)))
     held = asked._holding(every, None, np.ones(3))  # type: ignore[arg-type]
     assert (None if held is None else held.links) == kept
-    part = Explanation("part", ((0, EVERY), (1, EVERY)), off=0)
+    part = BodyExplanation("part", ((0, EVERY), (1, EVERY)), off=0)
     assert asked._holding(part, None, np.ones(3)) is part  # type: ignore[arg-type]
 
 

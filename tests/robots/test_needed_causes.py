@@ -14,7 +14,7 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not te
 
 from nmt_robots.log_faults.repair import unwrapped
 from nmt_robots.mechanics import joint_space, ladder
-from nmt_robots.mechanics.columns import Effect
+from nmt_robots.mechanics.columns import JointEffect
 from nmt_robots.mechanics.ladder import JointProblem, explain
 from nmt_robots.mechanics.motion import motion_of
 from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading
@@ -74,7 +74,7 @@ def test_a_limit_of_the_torque_takes_all_that_is_beyond_it(tmp_path: Path) -> No
     beyond = np.sign(asked.torque) * np.maximum(np.abs(asked.torque) - limit, 0.0)
     every_row = np.zeros_like(asked._every)
     every_row[asked._rows] = beyond
-    effect = Effect("saturation", "", "1", every_row[:, None], True, "", 1.5, True, 0.5)
+    effect = JointEffect("saturation", "", "1", every_row[:, None], True, "", 1.5, True, 0.5)
     asked._filtered[id(effect)] = beyond[:, None]
     clean = asked.left.copy()
     for share, credible in ((0.1, False), (1.0, True)):

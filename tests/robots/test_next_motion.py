@@ -15,7 +15,7 @@ from robots.simulated_joint import diagnosed_pendulum
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
 from nmt_robots.report.trajectory_files import joint_trajectory, trajectory_csv
-from nmt_robots.verdict.joint_verdict import Term, unjudged
+from nmt_robots.verdict.joint_verdict import JointTerm, unjudged
 from nmt_robots.verdict.next_motion import STEP_S, NextMotion, next_motion
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
@@ -48,7 +48,7 @@ def test_a_joint_that_stood_still_is_moved(diagnosis: RobotDiagnosis) -> None:
 
 
 def test_a_transmission_asks_for_reversals_and_two_amplitudes(diagnosis: RobotDiagnosis) -> None:
-    term = Term("backlash", "backlash", "rad", 0.02, 0.002, 0.0, 0.3, True)
+    term = JointTerm("backlash", "backlash", "rad", 0.02, 0.002, 0.0, 0.3, True)
     assert [request.kind for request in following(diagnosis, terms=(term,)).requests] == ["reversals", "chirp"]
 
 
@@ -67,7 +67,7 @@ def test_readings_with_other_delays_ask_for_a_chirp(diagnosis: RobotDiagnosis) -
 
 @pytest.mark.parametrize("kind", ["elastic", "not known"])
 def test_all_stays_inside_the_range_and_the_speeds_of_the_log(diagnosis: RobotDiagnosis, kind: str) -> None:
-    term = Term(kind, kind, "", 50.0, 1.0, 0.0, 0.3, kind == "elastic")
+    term = JointTerm(kind, kind, "", 50.0, 1.0, 0.0, 0.3, kind == "elastic")
     found = following(diagnosis, terms=(term,), unchanged=9.0)
     assert np.all((found.position > -1.0) & (found.position < 1.2))
     speed = np.gradient(found.position[:, 0], STEP_S)

@@ -13,7 +13,7 @@ from robots.test_transmission import ARMATURE, COULOMB, DAMPING, log_behind
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
-from nmt_robots.mechanics.columns import Effect, rival_effects
+from nmt_robots.mechanics.columns import JointEffect, rival_effects
 from nmt_robots.mechanics.ladder import first_of_last_part
 from nmt_robots.mechanics.motion import motion_of
 from nmt_robots.mechanics.readings import DriveSignals, Reading
@@ -21,7 +21,7 @@ from nmt_robots.mechanics.transmission import Transmission
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.report.robot_files import write_robot_diagnosis
 from nmt_robots.verdict.joint_verdict import unjudged
-from nmt_robots.verdict.replay import ChangedJoint, Predicted, Replay, Simulated, driven_by, replayed
+from nmt_robots.verdict.replay import ChangedJoint, PredictedMotion, Replay, Simulated, driven_by, replayed
 from nmt_robots.verdict.robot_diagnosis import read_log
 
 LATE = Reading(torque_lag_s=0.001)
@@ -56,7 +56,7 @@ class Replayed:
         found = Simulated(self.robot, self.log, self.motion, self.driven, [joint]).window(self.first, rows)
         return (found - self.log.position[self.first :])[:, 0]
 
-    def effect(self, key: str, shape: str = "") -> Effect:
+    def effect(self, key: str, shape: str = "") -> JointEffect:
         signals = DriveSignals(*(np.zeros(self.log.rows) for _ in range(3)))
         effects = rival_effects(self.motion, 0, signals)
         return next(effect for effect in effects if (effect.key, effect.shape) == (key, shape))
@@ -187,9 +187,9 @@ def test_a_diagnosis_replays_its_log_and_has_it_on_the_page(tmp_path: Path) -> N
 
 
 def test_the_sentence_keeps_angles_and_slides_apart() -> None:
-    def off(*missed: float) -> Predicted:
+    def off(*missed: float) -> PredictedMotion:
         values = np.broadcast_to(np.array(missed), (2, 60, 3))
-        return Predicted(values, values, np.full((2, 60, 1), 0.005))
+        return PredictedMotion(values, values, np.full((2, 60, 1), 0.005))
 
     by_model = off(0.03, 0.04, 0.002)
     replay = Replay("", ("elbow", "wrist", "lift"), (True, True, False), "tool (hand)", 0.01, np.arange(2),

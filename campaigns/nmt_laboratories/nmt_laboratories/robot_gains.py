@@ -22,7 +22,7 @@ import yaml
 from nmt_laboratories.campaign_frame import command_parser, seeds_of
 from nmt_laboratories.laboratory_four import ROBOTS, believed, changed_links, links_of, sidecar_of, sizes_of
 from nmt_laboratories.simulated_robot import SECONDS, STEP_S, Cause, Chain, Robot, command_of, logged, robot_text
-from nmt_robots.verdict.joint_verdict import Term
+from nmt_robots.verdict.joint_verdict import JointTerm
 from nmt_robots.verdict.robot_diagnosis import diagnose_robot
 
 EFFECTS = ("coulomb", "armature", "spring", "load_friction", "viscous")
@@ -59,7 +59,7 @@ def make_logs(folder: Path, number: int) -> list[Path]:
     return folders
 
 
-def compared(terms: Sequence[Term | None]) -> tuple[bool, list[float]]:
+def compared(terms: Sequence[JointTerm | None]) -> tuple[bool, list[float]]:
     """Whether all logs name the same cause, and differences of the sizes of those that do, in combined ±."""
     same = len({term.key if term is not None else "" for term in terms}) == 1
     found = []

@@ -336,7 +336,7 @@ def _gap(judgement: Judgement, held_out: HeldOut, left: Left) -> Gap:
 
 
 @dataclass(frozen=True)
-class Ahead:
+class NextSteps:
     """What to measure next.
 
     Attributes:
@@ -350,9 +350,9 @@ class Ahead:
     sensors: tuple[NextTest, ...] = ()
 
 
-def _ahead(rig: Rig, judgement: Judgement, scaled: Observations, settings: DiagnosisSettings) -> Ahead:
+def _ahead(rig: Rig, judgement: Judgement, scaled: Observations, settings: DiagnosisSettings) -> NextSteps:
     if not settings.look_ahead:
-        return Ahead()
+        return NextSteps()
     findings, comparison = judgement.findings, judgement.comparison
     null, names, gap = findings.null, findings.data.chain_names, judgement.verdict.gap
     tests: tuple[NextTest, ...] = ()
@@ -361,14 +361,14 @@ def _ahead(rig: Rig, judgement: Judgement, scaled: Observations, settings: Diagn
             rig, scaled, null, comparison, bool(settings.plan), names, settings.command, further=settings.other_kinds
         )
     if not settings.plan:
-        return Ahead(tests)
+        return NextSteps(tests)
     levels = next_levels(
         rig, scaled, null, comparison, settings.plan, findings.search, findings.scores, gap, settings.command
     )
     known = tests or (levels is not None and not levels.tells_little)
     if known or judgement.named is None:
-        return Ahead(tests, levels)
-    return Ahead(tests, levels, other_sensors(rig, scaled, null, comparison, settings.plan, names))
+        return NextSteps(tests, levels)
+    return NextSteps(tests, levels, other_sensors(rig, scaled, null, comparison, settings.plan, names))
 
 
 @dataclass(frozen=True)
@@ -393,7 +393,7 @@ class Answered:
 
 
 def _sentences(
-    judgement: Judgement, answer: Answered, ahead: Ahead, observations: Observations, settings: DiagnosisSettings
+    judgement: Judgement, answer: Answered, ahead: NextSteps, observations: Observations, settings: DiagnosisSettings
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[PlaceShare, ...]]:
     """Sentences of the answer, warnings, and the places that are reported."""
     findings, verdict, leader, named = judgement.findings, judgement.verdict, judgement.leader, judgement.named

@@ -48,7 +48,7 @@ _VARIANTS = (MASS, CENTRE, BOTH, EVERY)
 
 
 @dataclass(frozen=True)
-class Explanation:
+class BodyExplanation:
     """A way in which bodies may differ from the file.
 
     Attributes:
@@ -96,7 +96,7 @@ class Weighed:
         reached: the same of those that may move far.
     """
 
-    explanation: Explanation
+    explanation: BodyExplanation
     evidence: float
     numbers: Array
     std: Array
@@ -113,7 +113,7 @@ class Weighed:
 
 
 @dataclass(frozen=True, eq=False)
-class Choice:
+class BodyChoice:
     """All explanations that were asked.
 
     Attributes:
@@ -147,7 +147,7 @@ class BodyEvidence:
         scaled = rows.columns / rows.size[:, None]
         self._grams = np.einsum("njp,njq->jpq", scaled, scaled) / len(scaled)
 
-    def spread(self, explanation: Explanation) -> tuple[Array, Array]:
+    def spread(self, explanation: BodyExplanation) -> tuple[Array, Array]:
         """Prior standard deviations of all numbers, and which of them may move far."""
         found, far = np.zeros(self._size), np.zeros(self._size, dtype=bool)
         for link in range(self.count):
@@ -174,7 +174,7 @@ class BodyEvidence:
             return np.zeros(SHAPE)
         return np.array([sizes[0], *3 * [sizes[1] * length], *6 * [sizes[2]]])
 
-    def weigh(self, explanation: Explanation, white: Whitened | None = None) -> Weighed:
+    def weigh(self, explanation: BodyExplanation, white: Whitened | None = None) -> Weighed:
         """An explanation at its best numbers; a payload from several starts."""
         white = self._white if white is None else white
         if explanation.end < 0:
@@ -183,7 +183,7 @@ class BodyEvidence:
         found = [self._weigh(explanation, white, size * max(carried, 0.1)) for size in _PAYLOAD_SIZES]
         return max(found, key=lambda item: item.evidence)
 
-    def _weigh(self, explanation: Explanation, white: Whitened, start: float) -> Weighed:
+    def _weigh(self, explanation: BodyExplanation, white: Whitened, start: float) -> Weighed:
         spread, far = self.spread(explanation)
         middle = np.zeros(self._size)
         if explanation.end >= 0:
@@ -225,7 +225,7 @@ class BodyEvidence:
             float(np.max(np.abs(x[within]), initial=0.0)), float(np.max(np.abs(x[far]), initial=0.0)),
         )  # fmt: skip
 
-    def change(self, explanation: Explanation, numbers: Array) -> Array:
+    def change(self, explanation: BodyExplanation, numbers: Array) -> Array:
         """P: parameters of all columns without those of the file."""
         found = np.zeros(self._size)
         for link, shape in enumerate(self.shapes):
@@ -250,7 +250,7 @@ class BodyEvidence:
         return self.shapes[link].centre
 
     def _at(
-        self, explanation: Explanation, white: Whitened, numbers: Array, pulls: Array
+        self, explanation: BodyExplanation, white: Whitened, numbers: Array, pulls: Array
     ) -> tuple[float, Array, Array]:
         """Cost, slopes of the whitened rows and what they leave."""
         change = self.change(explanation, numbers)
@@ -277,7 +277,7 @@ class BodyEvidence:
     def _subject(self, item: Weighed) -> Subject:
         """What an explanation is about: nothing where it hardly changes any torque, one link where only that does."""
         if float(np.max(self.effect(item.wide))) < UNSEEN:
-            return Explanation("none").subject
+            return BodyExplanation("none").subject
         if item.explanation.kind != "pair":
             return item.explanation.subject
         acting = []
@@ -286,22 +286,24 @@ class BodyEvidence:
             part[10 * link : 10 * link + 10] = item.wide[10 * link : 10 * link + 10]
             if float(np.max(self.effect(part))) >= UNSEEN:
                 acting.append((link, EVERY))
-        return Explanation("pair" if len(acting) != 1 else "link", tuple(acting) or item.explanation.wide).subject
+        return BodyExplanation("pair" if len(acting) != 1 else "link", tuple(acting) or item.explanation.wide).subject
 
-    def choose(self) -> Choice:
+    def choose(self) -> BodyChoice:
         """All explanations with their probabilities."""
         links = [link for link in range(self.count) if self.shapes[link].mass > 0.0]
-        asked: list[tuple[Explanation, float]] = [(Explanation("none"), _PRIOR["none"])]
-        singles = [Explanation("link", ((link, numbers),)) for link in links for numbers in _VARIANTS]
+        asked: list[tuple[BodyExplanation, float]] = [(BodyExplanation("none"), _PRIOR["none"])]
+        singles = [BodyExplanation("link", ((link, numbers),)) for link in links for numbers in _VARIANTS]
         asked += [(item, _PRIOR["link"] / len(singles)) for item in singles]
-        asked += [(Explanation("payload", end=end), _PRIOR["payload"] / len(self.ends)) for end in self.ends]
+        asked += [(BodyExplanation("payload", end=end), _PRIOR["payload"] / len(self.ends)) for end in self.ends]
         if np.any(self.rows.gravity):
-            asked.append((Explanation("tilt"), _PRIOR["tilt"]))
+            asked.append((BodyExplanation("tilt"), _PRIOR["tilt"]))
         width = self.rows.left.shape[1]
-        asked += [(Explanation("constant", joint=joint), _PRIOR["constant"] / width) for joint in range(width)]
-        asked += [(Explanation("spring", joint=joint), _PRIOR["spring"] / width) for joint in range(width)]
-        asked.append((Explanation("all", tuple((link, EVERY) for link in links)), _PRIOR["all"]))
-        asked += [(Explanation("part", off=off), _PRIOR["part"] / len(self.parts)) for off in range(len(self.parts))]
+        asked += [(BodyExplanation("constant", joint=joint), _PRIOR["constant"] / width) for joint in range(width)]
+        asked += [(BodyExplanation("spring", joint=joint), _PRIOR["spring"] / width) for joint in range(width)]
+        asked.append((BodyExplanation("all", tuple((link, EVERY) for link in links)), _PRIOR["all"]))
+        asked += [
+            (BodyExplanation("part", off=off), _PRIOR["part"] / len(self.parts)) for off in range(len(self.parts))
+        ]
         weighed = [(self.weigh(item), prior) for item, prior in asked]
         singly = {link: max(w.evidence for w, _ in weighed if w.explanation.links == (link,)) for link in links}
         few = sorted(sorted(links, key=lambda link: -singly[link])[:_PAIRED])
@@ -309,7 +311,7 @@ class BodyEvidence:
         share = _PRIOR["pair"] / max(len(links) * (len(links) - 1) // 2, 1)
         sizes = (MASS, BOTH, EVERY)
         weighed += [
-            (self.weigh(Explanation("pair", ((first, numbers), (second, numbers)))), share / len(sizes))
+            (self.weigh(BodyExplanation("pair", ((first, numbers), (second, numbers)))), share / len(sizes))
             for first, second in pairs
             for numbers in sizes
         ]
@@ -332,6 +334,6 @@ class BodyEvidence:
             named.append((best[key], subjects[key]))
             if sum(probability for _, probability in named) >= (_NAMED if len(named) == 1 else _TOGETHER):
                 break
-        return Choice(
+        return BodyChoice(
             tuple(weighed[place][0] for place in order), tuple(float(shares[place]) for place in order), tuple(named)
         )

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from nmt_core.text.number_words import percent, value_text
-from nmt_robots.bodies.body_choice import EVERY, BodyEvidence, Choice, Explanation, Weighed
+from nmt_robots.bodies.body_choice import EVERY, BodyChoice, BodyEvidence, BodyExplanation, Weighed
 from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, Whitened, across, body_rows, free_spread, whitened
 from nmt_robots.bodies.body_shape import SHAPE, moved_body
-from nmt_robots.bodies.robot_parts import Part, last_links, parts_of
+from nmt_robots.bodies.robot_parts import MountedPart, last_links, parts_of
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.model.links import parameters_of, split_parameters
 from nmt_robots.model.robot_model import BodyChange, Joint, RobotModel
@@ -160,13 +160,13 @@ class _Asked:
     """Bodies of one log, and words for them."""
 
     def __init__(
-        self, robot: RobotModel, joints: tuple[str, ...], rows: BodyRows, evidence: BodyEvidence, parts: list[Part],
-        arithmetic: bool,
+        self, robot: RobotModel, joints: tuple[str, ...], rows: BodyRows, evidence: BodyEvidence,
+        parts: list[MountedPart], arithmetic: bool,
     ) -> None:  # fmt: skip
         self._robot, self._joints, self._rows, self._evidence, self._parts = robot, joints, rows, evidence, parts
         self._of_one_joint = {"spring", "constant"} if arithmetic else {"spring"}
 
-    def finding(self, choice: Choice) -> BodyFinding:
+    def finding(self, choice: BodyChoice) -> BodyFinding:
         """The answer by all explanations."""
         rows, width = self._rows, len(self._joints)
         nothing = next(item for item in choice.weighed if item.explanation.kind == "none")
@@ -212,21 +212,21 @@ class _Asked:
             mass = evidence.shapes[link].mass
             lacking, loose = mass * (1.0 - np.exp(numbers[0])), mass * np.exp(numbers[0]) * std[0]
             others = tuple(item for item in explanation.wide if item[0] != link)
-            without = evidence.weigh(Explanation("several", others)).evidence
+            without = evidence.weigh(BodyExplanation("several", others)).evidence
             for place, part in enumerate(self._parts):
                 apart = abs(part.mass - lacking)
                 if part.link != link or apart > max(_SAME * loose, _SAME_SHARE * part.mass):
                     continue
                 # Nothing is free in a part that is off: it need not explain as much as a link with ten numbers.
-                trial = evidence.weigh(Explanation("part", others, off=place))
+                trial = evidence.weigh(BodyExplanation("part", others, off=place))
                 if trial.evidence - without > _AS_MUCH * (best.evidence - without):
                     return trial
         if explanation.kind != "all":
             return best
-        found = evidence.weigh(Explanation("none"))
+        found = evidence.weigh(BodyExplanation("none"))
         while True:
             more = [
-                evidence.weigh(Explanation("several", tuple(sorted((*found.explanation.wide, (link, EVERY))))))
+                evidence.weigh(BodyExplanation("several", tuple(sorted((*found.explanation.wide, (link, EVERY))))))
                 for link in explanation.links
                 if link not in found.explanation.links
             ]
@@ -284,7 +284,7 @@ class _Asked:
             early=self._robot.with_bodies(before, self._gravity(first)), gravity=gravity,
         )  # fmt: skip
 
-    def _holding(self, explanation: Explanation, white: Whitened, before: Array) -> Explanation | None:
+    def _holding(self, explanation: BodyExplanation, white: Whitened, before: Array) -> BodyExplanation | None:
         """The explanation, without those of several links by which joints have more left on the last part; None where
         nothing of it holds.
         """
@@ -305,7 +305,7 @@ class _Asked:
             explanation, lost = fewer[least], losses[least]
         return explanation
 
-    def _lost(self, explanation: Explanation, white: Whitened, before: Array) -> float:
+    def _lost(self, explanation: BodyExplanation, white: Whitened, before: Array) -> float:
         """ln of how much more joints have left on the last part, over those whose torque the links take a part of."""
         wide = self._evidence.weigh(explanation, white).wide
         more = np.log(self._last_part(wide) / before)[self._evidence.effect(wide) >= UNSEEN]
@@ -334,7 +334,7 @@ class _Asked:
     def _link_name(self, link: int) -> str:
         return self._robot.body_name(self._rows.links[link].root)
 
-    def _subject(self, explanation: Explanation) -> str:
+    def _subject(self, explanation: BodyExplanation) -> str:
         """Kind and places in one line."""
         names = [self._link_name(link) for link in explanation.links]
         if explanation.off >= 0:
@@ -345,7 +345,7 @@ class _Asked:
             names.append(self._joints[explanation.joint])
         return " ".join([explanation.kind, *(names if explanation.kind != "all" else [])])
 
-    def _words(self, explanation: Explanation) -> str:
+    def _words(self, explanation: BodyExplanation) -> str:
         """A few words for an explanation."""
         names = [self._link_name(link) for link in explanation.links]
         if explanation.off >= 0:
@@ -440,7 +440,7 @@ class _Asked:
             for number, size in ((0, np.log(1.3)), (1, 0.03), (2, 0.03), (3, 0.03)):
                 numbers = np.zeros(self._rows.columns.shape[2])
                 numbers[10 * link + number] = size
-                change = evidence.change(Explanation("none"), numbers)
+                change = evidence.change(BodyExplanation("none"), numbers)
                 if float(np.max(evidence.effect(change))) < UNSEEN:
                     dumb.append("mass" if number == 0 else f"centre along {_AXES[number - 1]}")
             if dumb:

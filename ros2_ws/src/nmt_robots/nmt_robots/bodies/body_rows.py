@@ -17,7 +17,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.motion import built_up
-from nmt_robots.model.links import Link, LinkMotion
+from nmt_robots.model.links import LinkMotion, RobotLink
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.thresholds import THRESHOLDS
 
@@ -59,7 +59,7 @@ class BodyRows:
         time: N, s.
     """
 
-    links: tuple[Link, ...]
+    links: tuple[RobotLink, ...]
     gravity: Array
     left: Array
     size: Array

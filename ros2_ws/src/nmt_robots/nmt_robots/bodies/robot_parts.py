@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmt_robots.log.joint_log import Array
-from nmt_robots.model.links import Link, in_frame_of
+from nmt_robots.model.links import RobotLink, in_frame_of
 from nmt_robots.model.robot_model import RobotModel
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class MountedPart:
     """Bodies that are mounted together.
 
     Attributes:
@@ -34,10 +34,10 @@ class Part:
         return float(self.parameters.item(0))
 
 
-def parts_of(robot: RobotModel, links: Sequence[Link]) -> list[Part]:
+def parts_of(robot: RobotModel, links: Sequence[RobotLink]) -> list[MountedPart]:
     """What is mounted on links, each set of bodies with mass once, the outermost first."""
     model, data = robot.at_rest()
-    found: list[Part] = []
+    found: list[MountedPart] = []
     for number, link in enumerate(links):
         for top in link.bodies[1:]:
             carried = {top}
@@ -50,11 +50,11 @@ def parts_of(robot: RobotModel, links: Sequence[Link]) -> list[Part]:
             parameters = np.sum([in_frame_of(model, data, link.root, body) for body in heavy], axis=0)
             more = len(heavy) - 1
             words = robot.body_name(heavy[0]) + (f" with {more} more" if more else "")
-            found.append(Part(number, heavy, words, parameters))
+            found.append(MountedPart(number, heavy, words, parameters))
     return found
 
 
-def last_links(robot: RobotModel, links: Sequence[Link]) -> list[int]:
+def last_links(robot: RobotModel, links: Sequence[RobotLink]) -> list[int]:
     """Numbers of links that carry no other one."""
     model, _ = robot.at_rest()
     roots = {link.root for link in links}

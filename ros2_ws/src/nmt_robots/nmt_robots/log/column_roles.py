@@ -75,7 +75,7 @@ _LETTERS = frozenset(("m", "n", "a", "ms"))
 
 
 @dataclass(frozen=True)
-class Role:
+class ColumnRole:
     """What a column is by its name.
 
     Attributes:
@@ -194,7 +194,7 @@ def joint_words(joints: Sequence[str]) -> dict[tuple[str, ...], str]:
     return found
 
 
-def roles_of(name: str, joints: dict[tuple[str, ...], str], stated: str = "") -> list[Role]:
+def roles_of(name: str, joints: dict[tuple[str, ...], str], stated: str = "") -> list[ColumnRole]:
     """What a column may be: by the joint in its name, or by each number in it.
 
     Args:
@@ -223,7 +223,7 @@ def roles_of(name: str, joints: dict[tuple[str, ...], str], stated: str = "") ->
     ]
 
 
-def _role(name: str, template: tuple[str, ...], joint: str, number: int, stated: str) -> Role:
+def _role(name: str, template: tuple[str, ...], joint: str, number: int, stated: str) -> ColumnRole:
     words = [word for word in template if word not in "@#" and not word.isdigit()]
     kinds = [_KIND_OF[word] for word in words if word in _KIND_OF]
     speaking = [kind for kind in kinds if kind != CURRENT] or kinds
@@ -240,13 +240,13 @@ def _role(name: str, template: tuple[str, ...], joint: str, number: int, stated:
     # A point in space is not a joint's.
     in_space = not joint and bool(words) and words[-1] in ("x", "y", "z", "w")
     if in_space or "ddot" in words or (speaking and not kind) or set(words) & _OTHER:
-        return Role(name, "other", commanded, template, joint, number, 0, unit)
+        return ColumnRole(name, "other", commanded, template, joint, number, 0, unit)
     known = _KIND_OF.keys() | _COMMAND | _PLAIN | {"dot"}
     noise = sum(word not in known for word in words) + sum(word in ("motor", "rotor") for word in words)
-    return Role(name, kind, commanded, template, joint, number, noise, unit)
+    return ColumnRole(name, kind, commanded, template, joint, number, noise, unit)
 
 
-def families_of(roles: Sequence[Role], widths: dict[str, int]) -> list[Family]:
+def families_of(roles: Sequence[ColumnRole], widths: dict[str, int]) -> list[Family]:
     """Columns with one name but for the joint or a number, and columns of several values.
 
     Args:

@@ -20,8 +20,8 @@ from nmt_robots.log.column_roles import (
     SPEED,
     TIME,
     TORQUE,
+    ColumnRole,
     Family,
-    Role,
     families_of,
     joint_words,
     roles_of,
@@ -43,7 +43,7 @@ _MOST_NAMED = 40
 
 
 @dataclass(frozen=True)
-class Proposal:
+class SidecarProposal:
     """A sidecar and what was noticed while it was made.
 
     Attributes:
@@ -57,7 +57,7 @@ class Proposal:
     columns: FileColumns
 
 
-def propose_sidecar(data: Path, robot: Path, folder: Path) -> Proposal:
+def propose_sidecar(data: Path, robot: Path, folder: Path) -> SidecarProposal:
     """A sidecar for a log.
 
     Args:
@@ -75,7 +75,7 @@ def propose_sidecar(data: Path, robot: Path, folder: Path) -> Proposal:
     draft = _Draft(data, columns, model)
     sidecar = {"robot_log": 1, "data": _relative(data, folder), "robot": _relative(robot, folder), **draft.sections()}
     text = "".join(f"# {line}\n" for line in draft.remarks) + yaml_text(sidecar)
-    return Proposal(text, tuple(draft.questions), columns)
+    return SidecarProposal(text, tuple(draft.questions), columns)
 
 
 def _relative(path: Path, folder: Path) -> str:
@@ -508,13 +508,13 @@ def _one(units: list[str]) -> str | list[str]:
     return units[0] if len(set(units)) == 1 else units
 
 
-def _numbers_are_joints(roles: list[Role], joints: Sequence[str]) -> list[Role]:
+def _numbers_are_joints(roles: list[ColumnRole], joints: Sequence[str]) -> list[ColumnRole]:
     """Roles in which numbers count from where the joints' do; joints by number where the two differ.
 
     ``joint_0 …`` of a log are not joint_1 … of a model, although most of the names are the same.
     """
     numbered = {joint for joint in joints if words_of(joint)[-1:] and words_of(joint)[-1].isdigit()}
-    by_template: dict[tuple[str, ...], list[Role]] = {}
+    by_template: dict[tuple[str, ...], list[ColumnRole]] = {}
     for role in roles:
         if role.joint in numbered:
             by_template.setdefault(role.template, []).append(role)

@@ -59,7 +59,7 @@ Law = Callable[[State], tuple[Any, ...]]
 
 
 @dataclass(frozen=True, eq=False)
-class Effect:
+class JointEffect:
     """What may act in a joint.
 
     Attributes:
@@ -96,14 +96,14 @@ class Effect:
         return int(self.columns.shape[1])
 
 
-def _following(state: State, law: Law, key: str, words: str, unit: str, **limits: Any) -> Effect:
+def _following(state: State, law: Law, key: str, words: str, unit: str, **limits: Any) -> JointEffect:
     """An effect whose columns a law makes of the rows of a state."""
     rows = len(state.q)
     columns = np.column_stack([np.broadcast_to(column, rows) for column in law(state)])
-    return Effect(key, words, unit, columns, law=law, **limits)
+    return JointEffect(key, words, unit, columns, law=law, **limits)
 
 
-def usual_effects(motion: Motion, joint: int) -> list[Effect]:
+def usual_effects(motion: Motion, joint: int) -> list[JointEffect]:
     """Coulomb and viscous friction, armature and an offset: the plain fit."""
     state = _state(motion, joint)
     return [
@@ -114,7 +114,7 @@ def usual_effects(motion: Motion, joint: int) -> list[Effect]:
     ]
 
 
-def creeping_effects(motion: Motion, joint: int) -> list[Effect]:
+def creeping_effects(motion: Motion, joint: int) -> list[JointEffect]:
     """Friction that builds up over an angle instead of at once, for angles that the encoder resolves."""
     position, state = motion.position[:, [joint]], _state(motion, joint)
     noise = float(np.median(np.abs(np.diff(position[:, 0], 2)))) / (0.6745 * np.sqrt(6.0))
@@ -141,7 +141,7 @@ def _state(motion: Motion, joint: int, drive: DriveSignals | None = None) -> Sta
     return State(q, v, a, *bodies, drive.torque, error, math.nan if drive.speed_error is None else drive.speed_error)
 
 
-def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[str, ...] = ()) -> list[Effect]:
+def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[str, ...] = ()) -> list[JointEffect]:
     """What may come on top of the usual effects, one at a time.
 
     Args:
@@ -152,7 +152,7 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
     """
     state = _state(motion, joint, drive)
     torque = drive.torque
-    found: list[Effect] = []
+    found: list[JointEffect] = []
 
     def add(law: Law, key: str, words: str, unit: str, **limits: Any) -> None:
         limits.setdefault("never_negative", key in _PASSIVE)
@@ -166,7 +166,7 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
     time = motion.step_s * np.arange(len(motion.q))
     for share in _WARMING:
         fades = np.sign(state.v) * np.exp(-time / (share * time[-1]))
-        found.append(Effect("changing_friction", "friction that changes over the log", "N·m", fades[:, None],
+        found.append(JointEffect("changing_friction", "friction that changes over the log", "N·m", fades[:, None],
                             shape=f"within {share * time[-1]:.2g} s"))  # fmt: skip
     add(lambda s: (s.v * np.abs(s.v),), "quadratic_friction", "friction that grows with the square of speed",
         "N·m·s²/rad²")  # fmt: skip
@@ -181,7 +181,7 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
             largest=_LARGEST_SCALE)  # fmt: skip
     for name, doubled in zip(names, motion.of_links, strict=False):
         if np.std(doubled[:, joint]) > 0.01 * np.std(torque):
-            found.append(Effect("link_mass", "mass of a link", "1", doubled[:, [joint]], shape=f"link of {name}",
+            found.append(JointEffect("link_mass", "mass of a link", "1", doubled[:, [joint]], shape=f"link of {name}",
                                 largest=_LARGEST_MASS))  # fmt: skip
     if np.std(state.inertial) > 0.0:
         add(lambda s: (s.inertial,), "inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1",
@@ -203,11 +203,11 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
             add(_rippling(order), "ripple", "torque that changes with the angle", "N·m", shape=f"{order} per turn")
     jerk = np.gradient(state.a, motion.step_s)[:, None]
     words = "elastic transmission, backlash or a delay of this joint alone"
-    found.append(Effect("jerk", words, "kg·m²·s", jerk))
+    found.append(JointEffect("jerk", words, "kg·m²·s", jerk))
     return found
 
 
-def _of_the_drive(state: State, drive: DriveSignals) -> list[Effect]:
+def _of_the_drive(state: State, drive: DriveSignals) -> list[JointEffect]:
     """Gains, torque constant and limit of a drive."""
     words = "gain, torque constant or gear ratio of the drive (all of its torque scaled)"
     found = [_following(state, lambda s: (-s.torque,), "gain", words, "1", largest=_LARGEST_SCALE, made_of_torque=True)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from nmt_diagnose.choose.space import Columns, Space
 from nmt_robots.log.joint_log import Array
-from nmt_robots.mechanics.columns import Effect
+from nmt_robots.mechanics.columns import JointEffect
 from nmt_robots.thresholds import THRESHOLDS
 
 _PER_SECOND = 4.0
@@ -33,8 +33,8 @@ def independent_rows(rows: int, step_s: float) -> float:
 
 
 def joint_space(
-    left: Array, torque: Array, bodies: Sequence[Array], seconds: Array, step_s: float, effects: Sequence[tuple[Effect,
-    Array]], in_model: dict[str, float],
+    left: Array, torque: Array, bodies: Sequence[Array], seconds: Array, step_s: float,
+    effects: Sequence[tuple[JointEffect, Array]], in_model: dict[str, float],
 ) -> Space:  # fmt: skip
     """Rows of a joint about its model as given.
 

@@ -10,7 +10,7 @@ import numpy as np
 from nmt_diagnose.choose.choice import Choice, Chosen
 from nmt_diagnose.choose.space import Space
 from nmt_robots.log.joint_log import Array
-from nmt_robots.mechanics.columns import Effect, creeping_effects, rival_effects, usual_effects
+from nmt_robots.mechanics.columns import JointEffect, creeping_effects, rival_effects, usual_effects
 from nmt_robots.mechanics.joint_space import MARGIN, independent_rows, joint_space
 from nmt_robots.mechanics.least_squares import Fit, fitted, solve
 from nmt_robots.mechanics.motion import Motion
@@ -35,7 +35,7 @@ _MOSTLY_OTHERS = 0.1
 
 
 @dataclass(frozen=True)
-class Stated:
+class StatedFriction:
     """What is stated of friction in the place of its coefficient, which is one at no speed, no time or no angle.
 
     Attributes:
@@ -51,7 +51,7 @@ class Stated:
 
 
 @dataclass(frozen=True, eq=False)
-class Share:
+class JointShare:
     """An effect as found in a joint.
 
     Attributes:
@@ -65,7 +65,7 @@ class Share:
         stated: what it makes of friction over the speeds, seconds or angles of the log; None of other effects.
     """
 
-    effect: Effect
+    effect: JointEffect
     values: Array
     std: Array
     rms: float
@@ -73,7 +73,7 @@ class Share:
     alike: tuple[str, ...] = ()
     equal: tuple[str, ...] = ()
     impossible: float = 0.0
-    stated: Stated | None = None
+    stated: StatedFriction | None = None
 
     @property
     def size(self) -> float:
@@ -89,7 +89,7 @@ class Share:
 
 
 @dataclass(frozen=True, eq=False)
-class HeldOut:
+class TorqueHeldOut:
     """Torque left on rows that no fit has seen, rms in N·m.
 
     Attributes:
@@ -136,9 +136,9 @@ class JointMechanics:
             seen.
     """
 
-    shares: tuple[Share, ...]
-    held_out: HeldOut
-    plain: HeldOut
+    shares: tuple[JointShare, ...]
+    held_out: TorqueHeldOut
+    plain: TorqueHeldOut
     sticking_excess: float
     choice: JointChoice = JointChoice()
     new: frozenset[str] = frozenset()
@@ -149,7 +149,7 @@ class JointMechanics:
         """Keys of the causes."""
         return self.choice.causes
 
-    def share(self, key: str) -> Share | None:
+    def share(self, key: str) -> JointShare | None:
         """An effect by its key."""
         return next((share for share in self.shares if share.effect.key == key), None)
 
@@ -185,7 +185,7 @@ class JointProblem:
         self.rivals = [rival for rival in every if rival not in twins]
         self.library = [*self.usual, *self.rivals, *twins]
 
-    def _equations(self, creeping: list[Effect]) -> Array:
+    def _equations(self, creeping: list[JointEffect]) -> Array:
         """N: rows that move; all of them where friction that builds up explains those that may stick as well as others.
 
         Torque and angle of a joint that creeps go together, those of one that sticks do not.
@@ -209,7 +209,7 @@ class JointProblem:
         explained = best[0] < (1.0 - THRESHOLDS.gives_way / 2.0) * plain[0] and best[0] < _AS_ROWS_THAT_MOVE * best[1]
         return every if explained else moving
 
-    def _twins(self, rivals: list[Effect]) -> list[Effect]:
+    def _twins(self, rivals: list[JointEffect]) -> list[JointEffect]:
         """Rivals whose column is that of friction or armature, beyond the other usual effects."""
         # All of a drive's torque is like what takes most of it, and yet scales all else as well.
         single = [
@@ -226,7 +226,7 @@ class JointProblem:
             equal |= apart & (np.abs(direction[:, 0] @ beyond) > THRESHOLDS.equal * length)
         return [rival for rival, same in zip(single, equal, strict=True) if same]
 
-    def columns(self, effects: list[Effect]) -> Array:
+    def columns(self, effects: list[JointEffect]) -> Array:
         """Filtered columns of effects in the rows that move."""
         parts = []
         for effect in effects:
@@ -235,7 +235,7 @@ class JointProblem:
             parts.append(self._filtered[id(effect)])
         return np.column_stack(parts)
 
-    def held_out(self, effects: list[Effect]) -> HeldOut:
+    def held_out(self, effects: list[JointEffect]) -> TorqueHeldOut:
         """What effects leave on rows that their fit has not seen."""
         matrix, never = self.columns(effects), never_negative(effects)
         lost = np.empty_like(self.left)
@@ -252,9 +252,9 @@ class JointProblem:
             place += effect.parameters
             if effect.made_of_torque:
                 torque = torque - matrix[:, part] @ values[part]
-        return HeldOut(_rms(lost), _rms(last), float(np.std(torque)), values)
+        return TorqueHeldOut(_rms(lost), _rms(last), float(np.std(torque)), values)
 
-    def fit(self, effects: list[Effect]) -> Fit:
+    def fit(self, effects: list[JointEffect]) -> Fit:
         """Coefficients of effects by all rows; ± with what the model's own tolerances make of them."""
         matrix = self.columns(effects)
         fit = fitted(matrix, self.left, never_negative(effects), self.blocks)
@@ -286,7 +286,7 @@ class JointProblem:
             [(effect, self.columns([effect])) for effect in [*self.usual, *self.rivals]], in_model,
         )  # fmt: skip
 
-    def last_without(self, cause: Effect, effects: list[Effect], in_model: float) -> float:
+    def last_without(self, cause: JointEffect, effects: list[JointEffect], in_model: float) -> float:
         """Torque on the last part of the log that others leave over by values from before, rms, N·m.
 
         Args:
@@ -300,7 +300,7 @@ class JointProblem:
         values = solve(matrix[:early], left[:early], never_negative(others))[0]
         return _rms(left[early:] - matrix[early:] @ values)
 
-    def last_within(self, causes: list[Effect], space: Space) -> float:
+    def last_within(self, causes: list[JointEffect], space: Space) -> float:
         """The same that causes leave of the model, all else within its tolerances; the mean of a torque is free."""
         early, loose = int(_LAST_PART * len(space.left)), space.nuisances.shape[1]
         free = [*causes, *(effect for effect in self.usual if effect.key == "offset" and effect not in causes)]
@@ -312,7 +312,7 @@ class JointProblem:
         values = np.linalg.lstsq(weight * known.T @ known + prior, weight * known.T @ left, rcond=1e-12)[0]
         return _rms(space.left[early:] - matrix[early:] @ values)
 
-    def stated(self, effects: list[Effect], effect: Effect, fit: Fit) -> Stated | None:
+    def stated(self, effects: list[JointEffect], effect: JointEffect, fit: Fit) -> StatedFriction | None:
         """By how much friction falls over the speeds or seconds of the log, or over which angle it builds up; forms
         that fit as well are in its ±.
         """
@@ -348,9 +348,9 @@ class JointProblem:
             friction = effect.columns[rows, 0] * np.sign(speed) * fit.values[place] + fit.values[at]
             start, end = float(np.mean(friction[:count])), float(np.mean(friction[-count:]))
             words = f"friction that changes over the log from {start:.2g} to {end:.2g} N·m, falling by"
-        return Stated(words, falls[0], std, "N·m")
+        return StatedFriction(words, falls[0], std, "N·m")
 
-    def _reach(self, effects: list[Effect], effect: Effect) -> Stated:
+    def _reach(self, effects: list[JointEffect], effect: JointEffect) -> StatedFriction:
         """The angle over which friction builds up, by the squares left over those of its grid, as independent rows."""
         forms = [item for item in self.rivals if item.key == effect.key]
         squares = []
@@ -365,13 +365,13 @@ class JointProblem:
         weights /= np.sum(weights)
         reach = 1e3 * np.exp(fine)
         mean = float(weights @ reach)
-        return Stated("friction builds up over", mean, float(np.sqrt(weights @ (reach - mean) ** 2)), "mrad")
+        return StatedFriction("friction builds up over", mean, float(np.sqrt(weights @ (reach - mean) ** 2)), "mrad")
 
-    def rival(self, key: str, shape: str) -> Effect | None:
+    def rival(self, key: str, shape: str) -> JointEffect | None:
         """One of the rivals."""
         return next((item for item in self.rivals if (item.key, item.shape) == (key, shape)), None)
 
-    def credible(self, effects: list[Effect], rival: Effect) -> bool:
+    def credible(self, effects: list[JointEffect], rival: JointEffect) -> bool:
         """Whether a rival with other effects is within its limits where all of them are free."""
         values = self.fit([*effects, rival]).values[-rival.parameters :]
         size = float(np.linalg.norm(values))
@@ -396,7 +396,7 @@ def first_of_last_part(motion: Motion) -> int:
     return first
 
 
-def never_negative(effects: list[Effect]) -> Array:
+def never_negative(effects: list[JointEffect]) -> Array:
     """Which of the columns of effects may have no negative coefficient."""
     return np.concatenate([[effect.never_negative] * effect.parameters for effect in effects]).astype(bool)
 
@@ -452,7 +452,7 @@ def _asked(problem: JointProblem, space: Space) -> tuple[Chosen, list[tuple[str,
 
 
 def _lost(
-    problem: JointProblem, effects: list[Effect], causes: tuple[str, ...], space: Space, in_model: dict[str, float]
+    problem: JointProblem, effects: list[JointEffect], causes: tuple[str, ...], space: Space, in_model: dict[str, float]
 ) -> frozenset[str]:
     """Causes and new effects that leave no less on the last part of the log, worst first.
 
@@ -478,7 +478,7 @@ def _lost(
         kept = [effect for effect in kept if effect is not cause or effect in problem.usual]
 
 
-def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool) -> list[Share]:
+def _shares(problem: JointProblem, effects: list[JointEffect], fit: Fit, named: bool) -> list[JointShare]:
     shares, place = [], 0
     for effect in effects:
         part = slice(place, place + effect.parameters)
@@ -492,13 +492,13 @@ def _shares(problem: JointProblem, effects: list[Effect], fit: Fit, named: bool)
         if abs(impossible) * unit < MARGIN * float(np.std(problem.torque)):
             impossible = 0.0
         shares.append(
-            Share(effect, fit.values[part], fit.std[part], _rms(torque), unit, tuple(alike), equal, impossible,
+            JointShare(effect, fit.values[part], fit.std[part], _rms(torque), unit, tuple(alike), equal, impossible,
                   problem.stated(effects, effect, fit) if named else None)
         )  # fmt: skip
     return shares
 
 
-def _alike(problem: JointProblem, effects: list[Effect], effect: Effect) -> dict[str, float]:
+def _alike(problem: JointProblem, effects: list[JointEffect], effect: JointEffect) -> dict[str, float]:
     """Effects of the library whose columns, beyond the other effects, point the way of this one: words and cosine."""
     others = [item for item in effects if item is not effect]
     basis, column = _span(problem.columns(others)), problem.columns([effect])

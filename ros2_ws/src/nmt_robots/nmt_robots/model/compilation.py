@@ -13,7 +13,7 @@ from typing import Any
 from nmt_core.errors import BenchError
 from nmt_core.files.hardened import read_text
 from nmt_core.files.limited_child import ChildError, run_limited
-from nmt_robots.model.coupling import Coupling, Follower
+from nmt_robots.model.coupling import Follower, JointCoupling
 from nmt_robots.model.robot_xml import (
     DRIVES,
     Element,
@@ -57,7 +57,7 @@ class RobotFile:
     root: Element
     kept: str
     is_urdf: bool
-    couplings: tuple[Coupling, ...]
+    couplings: tuple[JointCoupling, ...]
     others: dict[str, str]
     zero_limits: tuple[str, ...]
     unlimited: frozenset[str]
@@ -88,7 +88,7 @@ def read_robot(path: Path) -> RobotFile:
     return RobotFile(path, text, root, xml_text(kept), False, couplings, {}, (), unlimited, tuple(left_out))
 
 
-def _equalities(root: Element, path: Path) -> tuple[Coupling, ...]:
+def _equalities(root: Element, path: Path) -> tuple[JointCoupling, ...]:
     """Couplings of two joints.
 
     Raises:
@@ -115,7 +115,7 @@ def _equalities(root: Element, path: Path) -> tuple[Coupling, ...]:
                 )
         polynomial = words.get("polycoef", "0 1 0 0 0").split()
         numbers = tuple(checked_number(word, str(path), item, "polycoef") for word in polynomial)
-        found.append(Coupling(names[0], names[1], (*numbers, 0.0, 0.0)[: max(2, len(numbers))]))
+        found.append(JointCoupling(names[0], names[1], (*numbers, 0.0, 0.0)[: max(2, len(numbers))]))
     return tuple(found)
 
 

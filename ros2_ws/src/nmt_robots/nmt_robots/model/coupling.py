@@ -12,7 +12,7 @@ Array = np.ndarray[Any, Any]
 
 
 @dataclass(frozen=True)
-class Coupling:
+class JointCoupling:
     """One joint by another.
 
     Attributes:
@@ -48,7 +48,7 @@ class Follower:
     offset: float
 
 
-def followers(couplings: Sequence[Coupling], names: Sequence[str], references: dict[str, float]) -> list[Follower]:
+def followers(couplings: Sequence[JointCoupling], names: Sequence[str], references: dict[str, float]) -> list[Follower]:
     """Joints that move with joints of a log; what is coupled to none of them stands still.
 
     Where several joints of a log are coupled, the one that the others follow drives them.

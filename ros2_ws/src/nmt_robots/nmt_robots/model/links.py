@@ -24,7 +24,7 @@ _SHORTEST = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Link:
+class RobotLink:
     """What one joint moves.
 
     Attributes:
@@ -47,7 +47,7 @@ class Link:
         return float(self.parameters.item(0))
 
 
-def links_of(robot: RobotModel, names: Sequence[str]) -> list[Link]:
+def links_of(robot: RobotModel, names: Sequence[str]) -> list[RobotLink]:
     """The links of joints of a log, and of those that follow them, in the order of the file."""
     model, data = robot.at_rest()
     everyone = robot.with_followers(names)[0]
@@ -66,7 +66,7 @@ def links_of(robot: RobotModel, names: Sequence[str]) -> list[Link]:
         if not reaches:
             reaches = [2.0 * float(np.linalg.norm(parameters[1:4])) / max(float(parameters.item(0)), 1e-9)]
         length = max(*reaches, _SHORTEST)
-        links.append(Link(moved[root][0], root, tuple(bodies), parameters, length))
+        links.append(RobotLink(moved[root][0], root, tuple(bodies), parameters, length))
     return links
 
 

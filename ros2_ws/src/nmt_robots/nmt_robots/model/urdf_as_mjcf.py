@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmt_core.errors import BenchError
-from nmt_robots.model.coupling import Array, Coupling
+from nmt_robots.model.coupling import Array, JointCoupling
 from nmt_robots.model.robot_xml import Element, checked_number
 
 _MOVING = {"revolute": "hinge", "continuous": "hinge", "prismatic": "slide"}
@@ -35,7 +35,7 @@ class UrdfRobot:
     """
 
     root: Element
-    couplings: list[Coupling] = field(default_factory=list)
+    couplings: list[JointCoupling] = field(default_factory=list)
     others: dict[str, str] = field(default_factory=dict)
     zero_limits: list[str] = field(default_factory=list)
 
@@ -224,7 +224,7 @@ class _Reader:
             self._left_out[f"<mimic> of {name}, which names no joint that moves"] += 1
             return
         offset, ratio = self._number(mimic, "offset", 0.0), self._number(mimic, "multiplier", 1.0)
-        robot.couplings.append(Coupling(name, master, (offset, ratio)))
+        robot.couplings.append(JointCoupling(name, master, (offset, ratio)))
 
     def _number(self, element: Element, key: str, otherwise: float, unlimited: bool = False) -> float:
         word = element.attributes.get(key)

@@ -12,7 +12,7 @@ from nmt_core.text.number_words import percent, value_text
 from nmt_robots.bodies.body_finding import BodyFinding
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding
-from nmt_robots.mechanics.ladder import JointMechanics, Share
+from nmt_robots.mechanics.ladder import JointMechanics, JointShare
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import Reading
 from nmt_robots.mechanics.transmission import Transmission
@@ -24,7 +24,7 @@ OF_ALL_JOINTS = frozenset({"bodies", "torque_constant"})
 
 
 @dataclass(frozen=True, eq=False)
-class Term:
+class JointTerm:
     """A term of a joint's torque.
 
     Attributes:
@@ -98,7 +98,7 @@ class JointVerdict:
 
     joint: Joint
     mechanics: JointMechanics | None
-    terms: tuple[Term, ...]
+    terms: tuple[JointTerm, ...]
     torque: float
     as_logged: float = float("nan")
     unchanged: float = float("nan")
@@ -225,7 +225,7 @@ def with_body_terms(verdicts: list[JointVerdict], bodies: BodyFinding) -> list[J
         size = (0.0, 0.0, 0.0, "") if first is None else (first.value, first.std, first.in_model, first.unit)
         key = "torque_constant" if bodies.kind == "constant" else "bodies"
         instead = tuple(words for words, _ in bodies.instead)
-        term = Term(key, bodies.words, size[3], *size[:3], share, True, instead, probability=bodies.probability)
+        term = JointTerm(key, bodies.words, size[3], *size[:3], share, True, instead, probability=bodies.probability)
         found.append(replace(verdict, terms=(term, *verdict.terms)))
     return found
 
@@ -346,7 +346,7 @@ def joint_verdict(
             words, size, unit = share.stated.words, share.stated.size, share.stated.unit
         alike, equal = (tuple(map(joint.units, names)) for names in (share.alike, share.equal))
         terms.append(
-            Term(key, joint.units(words), joint.units(unit), size, std, reference, part, differs, alike, equal,
+            JointTerm(key, joint.units(words), joint.units(unit), size, std, reference, part, differs, alike, equal,
                  share.impossible, best.choice.probability.get(key, 0.0))
         )  # fmt: skip
     # An offset is what other terms leave of their mean: it stands behind them.
@@ -405,7 +405,7 @@ def values_in_model(joint: Joint) -> dict[str, float]:
     return {"coulomb": joint.coulomb, "viscous": joint.damping, "armature": joint.armature}
 
 
-def _size_in(result: JointMechanics, share: Share) -> float:
+def _size_in(result: JointMechanics, share: JointShare) -> float:
     """Size of the same effect under another reading."""
     other = result.share(share.effect.key)
     return share.size if other is None else other.size

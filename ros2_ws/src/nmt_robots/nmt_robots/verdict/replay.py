@@ -15,7 +15,7 @@ import numpy as np
 
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding, is_known
-from nmt_robots.mechanics.columns import Effect, State
+from nmt_robots.mechanics.columns import JointEffect, State
 from nmt_robots.mechanics.ladder import first_of_last_part
 from nmt_robots.mechanics.motion import Motion, built_up
 from nmt_robots.mechanics.readings import DriveTorque, Reading
@@ -39,7 +39,7 @@ _DRY = frozenset({"coulomb", "stribeck", "root_friction", "load_friction"})
 
 
 @dataclass(frozen=True, eq=False)
-class Predicted:
+class PredictedMotion:
     """Windows through one model.
 
     Attributes:
@@ -84,8 +84,8 @@ class Replay:
     step_s: float
     starts: Array
     measured: Array
-    by_model: Predicted
-    by_changed: Predicted
+    by_model: PredictedMotion
+    by_changed: PredictedMotion
     changed: dict[str, str]
 
     @property
@@ -98,13 +98,13 @@ class Replay:
         """Lengths that the last part has room for."""
         return tuple(span for span in HORIZONS_S if round(span / self.step_s) < self.measured.shape[1])
 
-    def after(self, predicted: Predicted, span_s: float) -> tuple[Array, float]:
+    def after(self, predicted: PredictedMotion, span_s: float) -> tuple[Array, float]:
         """Rms distance of each joint (rad, m) and of the tool (m) after a time."""
         row = round(span_s / self.step_s)
         return predicted.joints()[row], float(predicted.ends()[row])
 
     @property
-    def models(self) -> list[tuple[str, Predicted]]:
+    def models(self) -> list[tuple[str, PredictedMotion]]:
         """Words for each simulation, that of the changed model only where something was changed."""
         return [
             ("as given", self.by_model),
@@ -179,7 +179,7 @@ class ChangedJoint:
     armature: float
     damping: float
     coulomb: float
-    further: tuple[tuple[Effect, Array], ...] = ()
+    further: tuple[tuple[JointEffect, Array], ...] = ()
     mass: float = 1.0
     transmission: Transmission | None = None
     words: str = ""
@@ -264,14 +264,14 @@ def replayed(
     ends = robot.ends(log.joints)
     measured = np.stack([log.position[row : row + rows] for row in starts]) if len(starts) else np.empty((0, rows, 1))
 
-    def predicted(robot_of: RobotModel, log_of: JointLog, joints: list[ChangedJoint]) -> Predicted:
+    def predicted(robot_of: RobotModel, log_of: JointLog, joints: list[ChangedJoint]) -> PredictedMotion:
         simulated = Simulated(robot_of, log_of, motion, driven_by(log_of, reading), joints)
         position = np.array([simulated.window(row, rows) for row in starts]).reshape(measured.shape)
         # Both through the kinematics of the file: a part that is not mounted stays a point.
         flat = [values.reshape(-1, values.shape[-1]) for values in (position, measured)]
         reached, was = (robot.places(ends, log.joints, values) for values in flat)
         apart = np.linalg.norm(reached - was, axis=2)
-        return Predicted(position, position - measured, apart.reshape(*measured.shape[:2], len(ends)))
+        return PredictedMotion(position, position - measured, apart.reshape(*measured.shape[:2], len(ends)))
 
     by_model = predicted(robot, log, unchanged)
     by_changed = by_model
@@ -292,7 +292,7 @@ def replayed(
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
+class ReplayDrive:
     """What drives a replay, N × J: command (rad), its speed (rad/s), torque on top of the law or measured (N·m).
 
     ``is_law``: whether the law makes the torque.
@@ -307,7 +307,7 @@ class Driven:
     delay_s: float
 
 
-def driven_by(log: JointLog, reading: Reading) -> Driven:
+def driven_by(log: JointLog, reading: Reading) -> ReplayDrive:
     """What drives a log: the law where it makes the torque, else the measured torque."""
     still = np.zeros_like(log.position)
     lawful = log if log.is_arithmetic else replace(log, torque=None)
@@ -318,12 +318,12 @@ def driven_by(log: JointLog, reading: Reading) -> Driven:
         damped = np.zeros(len(log.joints)) if log.velocity_gain is None else log.velocity_gain
         speed = still if log.velocity_command is None else log.velocity_command
         torque = still if log.torque_command is None else log.torque_command
-        return Driven(
+        return ReplayDrive(
             drive.command(reading), speed, torque, (log.position_gain, damped), True, max(reading.torque_lag_s, 0.0)
         )
     nothing = np.zeros(len(log.joints))
     torque = DriveTorque(log).torque(reading)
-    return Driven(still, still, torque, (nothing, nothing), False, 0.0)
+    return ReplayDrive(still, still, torque, (nothing, nothing), False, 0.0)
 
 
 def _alike(law: Array, measured: Array | None) -> bool:
@@ -351,7 +351,7 @@ class Simulated:
     """
 
     def __init__(
-        self, robot: RobotModel, log: JointLog, motion: Motion, driven: Driven, joints: Sequence[ChangedJoint]
+        self, robot: RobotModel, log: JointLog, motion: Motion, driven: ReplayDrive, joints: Sequence[ChangedJoint]
     ) -> None:
         self._log, self._motion, self._driven, self._joints = log, motion, driven, joints
         self._parts = max(1, int(np.ceil(motion.step_s / _STEP_S - 1e-9)))

@@ -15,7 +15,7 @@ from nmt_robots.mechanics.readings import DriveTorque, Reading
 from nmt_robots.mechanics.transmission import LinkBehindTransmission, Transmission, transmission_of
 from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
-from nmt_robots.verdict.joint_verdict import JointVerdict, Term, joint_verdict, values_in_model
+from nmt_robots.verdict.joint_verdict import JointTerm, JointVerdict, joint_verdict, values_in_model
 
 _OF_TIMING = frozenset({"torque_lag", "command_lag", "hidden_jitter", "uneven_clock", "rows_missing", "clock_factor"})
 """Faults of a log that look like a transmission: what is late, or when its rows were measured."""
@@ -104,7 +104,7 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
     if item.gap:
         other = ("elastic transmission",) if alike else ()
         # The stiffness behind it is not reported: it reads a quarter to a half of the true one.
-        term = Term(
+        term = JointTerm(
             "backlash",
             "backlash from end to end,",
             joint.units("rad"),
@@ -117,7 +117,7 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
         )
     else:
         other = ("backlash",) if alike else ()
-        term = Term("elastic", "elastic transmission, stiffness", joint.units("N·m/rad"), item.stiffness,
+        term = JointTerm("elastic", "elastic transmission, stiffness", joint.units("N·m/rad"), item.stiffness,
                     item.stiffness_std, 0.0, found.share, True, other)  # fmt: skip
     return replace(verdict, terms=(term, *verdict.terms), unchanged=plain.unchanged, plain=plain.plain,
                    last_plain=plain.last_plain, transmission=item)  # fmt: skip

@@ -349,7 +349,7 @@ class Paired(LowLevelModes):
             name="test", channels=(MOTION, MOTION), drive_point=1, reference="", span_s=None
         )  # fmt: skip
         self._looked.clear()
-        self._add(0, test, line, SimpleNamespace(rows=rows, values=values), {})  # type: ignore[arg-type]
+        self._add(0, test, line, SimpleNamespace(rows=rows, values=values, std=0.0 * values), {})  # type: ignore[arg-type]
         self.compare()
 
 

@@ -52,10 +52,10 @@ def test_every_text_of_a_response_page_is_escaped() -> None:
     figure = ReportFigure("f", BAD, BAD, Markup("<svg></svg>"))
     page = ResponsePage(
         BAD, BAD, BAD, (BAD, "good"), [("s", BAD, html_table([(BAD, BAD)], [[BAD]], BAD) + part("figures", [figure]))],
-        [(BAD, BAD, BAD)], [(BAD, BAD)], [BAD], BAD, [(BAD, BAD)],
+        [(BAD, BAD, BAD)], [(BAD, BAD)], [BAD], BAD, [(BAD, BAD)], [BAD],
     ).html()  # fmt: skip
     assert "<script>alert" not in page
-    assert page.count("&lt;script&gt;alert(&#34;1&#34;)&lt;/script&gt;") == 23
+    assert page.count("&lt;script&gt;alert(&#34;1&#34;)&lt;/script&gt;") == 24
     assert "<svg></svg>" in page
 
 

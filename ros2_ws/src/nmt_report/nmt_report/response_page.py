@@ -29,9 +29,9 @@ class ResponsePage:
         cards: (label, value, note).
         facts: (name, value); those without a value are left out.
         notices: sentences on what is missing or wrong.
-        notes: sentences on the recordings that do not bear on the answer.
         footer: last line.
         answers: (question, sentence) below the verdict.
+        notes: sentences on the recordings that do not bear on the answer.
     """
 
     kicker: str
@@ -42,9 +42,9 @@ class ResponsePage:
     cards: Sequence[tuple[str, str, str]] = ()
     facts: Sequence[tuple[str, str]] = ()
     notices: Sequence[str] = ()
-    notes: Sequence[str] = ()
     footer: str = "SI units."
     answers: Sequence[tuple[str, str]] = ()
+    notes: Sequence[str] = ()
 
     def html(self, template: str = "response_report.html", **values: Any) -> str:
         """The whole page; the same text for the same content.

@@ -342,8 +342,8 @@ def test_what_the_torque_does_not_need_takes_neither_memory_nor_time(
         "import resource, sys; from nmt_robots.model.robot_model import RobotModel; RobotModel(sys.argv[1]); "
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     )
-    told = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=True)
-    assert int(told.stdout) < 2**20  # KiB
+    child = subprocess.run([sys.executable, "-c", program, path], capture_output=True, text=True, check=True)
+    assert int(child.stdout) < 2**20  # KiB
     assert {"<size>", "<keyframe>", "<sensor>", "<extension>"} <= set(model.file.left_out)
     still = np.zeros((1, 1))
     with np.errstate(all="ignore"):

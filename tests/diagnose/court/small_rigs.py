@@ -54,8 +54,8 @@ def chain_rig() -> Rig:
     return validate_rig(RigDocument("test", values, {}))
 
 
-def chain_receptance(hertz: FloatArray, stiffer: float = 1.0) -> ComplexArray:
-    """Displacements of all points over forces at all points, shape (n, 3, 3)."""
+def chain_receptance(hertz: FloatArray, stiffer: float = 1.0, more: Sequence[float] = (0.0, 0.0, 0.0)) -> ComplexArray:
+    """Displacements of all points over forces at all points, shape (n, 3, 3); ``more`` springs to the ground, N/m."""
     mass = np.diag(MASSES)
     stiffness, damping = np.diag(np.array(TO_GROUND)), np.diag(np.array(DAMPERS_TO_GROUND))
     for i, (spring, damper) in enumerate(zip(BETWEEN, DAMPERS, strict=True)):
@@ -63,19 +63,25 @@ def chain_receptance(hertz: FloatArray, stiffer: float = 1.0) -> ComplexArray:
         pair[i], pair[i + 1] = 1.0, -1.0
         stiffness, damping = stiffness + spring * np.outer(pair, pair), damping + damper * np.outer(pair, pair)
     omega = 2.0 * np.pi * hertz
-    dynamic = stiffer * stiffness - omega[:, None, None] ** 2 * mass + 1j * omega[:, None, None] * damping
+    dynamic = (
+        stiffer * stiffness
+        + np.diag(np.array(more))
+        - omega[:, None, None] ** 2 * mass
+        + 1j * omega[:, None, None] * damping
+    )
     return np.asarray(np.linalg.inv(dynamic))
 
 
 def chain_accelerance(
-    hertz: FloatArray, stiffer: float = 1.0, force: float = 1.0, cubic: float = 0.0, place: int = 1
-) -> ComplexArray:
+    hertz: FloatArray, stiffer: float = 1.0, force: float = 1.0, cubic: float = 0.0, place: int = 1,
+    more: Sequence[float] = (0.0, 0.0, 0.0),
+) -> ComplexArray:  # fmt: skip
     """Accelerations over the force at point 1, shape (n, 3).
 
     A cubic spring from a place to the ground acts by its first harmonic, 3/4 k |X|² X: |X|² is the least real root of
     |1 + 3/4 k |X|² H|² |X|² = |H₁ F|², the branch that a rising sweep takes.
     """
-    h = chain_receptance(hertz, stiffer)
+    h = chain_receptance(hertz, stiffer, more)
     receptance, driven = h[:, place - 1, place - 1], h[:, place - 1, 0] * force
     response = h[:, :, 0].copy()
     for i in range(hertz.size):
@@ -97,6 +103,7 @@ def chain_tables(
     stiffer: float = 1.0,
     cubic: float = 0.0,
     place: int = 1,
+    more: Sequence[float] = (0.0, 0.0, 0.0),
     late: Sequence[float] = (0.0, 0.0, 0.0),
     band: tuple[float, float] = (6.0, 20.0),
 ) -> list[ObservableTable]:
@@ -111,12 +118,13 @@ def chain_tables(
         stiffer: all springs over those of the model.
         cubic: N/m³, of a spring from ``place`` to the ground.
         place: point of it, from 1.
+        more: springs to the ground that the model lacks, N/m.
         late: delay of each accelerometer, s.
         band: lowest and highest frequency, Hz.
     """
     generator, hertz, result = np.random.default_rng(seed), np.linspace(*band, 30), []
     for number, level in enumerate((0.5, 2.0)):
-        accelerance = chain_accelerance(hertz, stiffer + drift * number, level, cubic, place)
+        accelerance = chain_accelerance(hertz, stiffer + drift * number, level, cubic, place, more)
         for point, (gain, delay) in enumerate(zip(gains, late, strict=True), 1):
             response = gain * np.exp(-2j * np.pi * hertz * delay) * accelerance[:, point - 1]
             noise = generator.standard_normal((2, hertz.size))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from diagnose.court.small_rigs import backbone, chain_rig, chain_tables, diagnosed, one_mode_rig
+from diagnose.court.small_rigs import TO_GROUND, backbone, chain_rig, chain_tables, diagnosed, one_mode_rig
 from tiers import with_quick
 
 from nmt_diagnose.ledger.diagnosis import Verdict
@@ -48,6 +48,25 @@ def test_a_cubic_spring_is_named() -> None:
     assert found.verdict is Verdict.EFFECT
     assert "cubic_stiffness" in (found.ranking[0].effect, *found.ranking[0].equivalents)
     assert found.ranking[0].parameters["k"].value == pytest.approx(3e9, rel=0.1)
+
+
+@pytest.mark.court(said="effect")
+def test_a_spring_to_the_ground_that_the_model_lacks_is_named() -> None:
+    found = diagnosed(chain_rig(), chain_tables(7, more=(0.0, 400.0, 0.0)))
+    assert found.verdict is Verdict.EFFECT
+    head = found.ranking[0]
+    assert ("added_stiffness" in (head.effect, *head.equivalents), head.detail) == (True, "2")
+    assert head.parameters["k"].value == pytest.approx(400.0, abs=4.0 * head.parameters["k"].std)
+    assert head.parameters["k"].std < 80.0
+
+
+@pytest.mark.court(not_said="effect")
+def test_a_spring_that_the_model_has_and_that_is_stiffer_is_its_own_parameter() -> None:
+    found = diagnosed(chain_rig(), chain_tables(7, more=(0.0, 0.0, 300.0)))
+    assert found.verdict is Verdict.CALIBRATION
+    moved = max(found.calibration, key=lambda item: abs(item.sigmas))
+    assert moved.name == "structure.ground_springs_n_m.2"
+    assert moved.to == pytest.approx(TO_GROUND[2] + 300.0, abs=4.0 * moved.std)
 
 
 @pytest.mark.court(said="effect")

@@ -9,7 +9,6 @@ lacks and that no effect makes up for.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -133,15 +132,14 @@ def measured_modes(
         np.geomspace(frequency_hz[0], frequency_hz[-1], expected + _EXTRA_POLE_PAIRS) / frequency_hz[-1] * (-0.01 + 1j)
     )
     known = np.isfinite(responses)
-    noise = np.zeros(known.shape) if noise is None else np.where(known, noise, 0.0)
-    precision = _LEAST_NOISE / np.hypot(_LEAST_NOISE, noise)
+    values = np.where(known, responses, 0.0)
+    noise = np.where(known, 0.0 if noise is None else noise, np.inf)
+    weights = _LEAST_NOISE / np.hypot(_LEAST_NOISE, noise) / np.maximum(np.abs(values), 1e-300)
     for _ in range(_VECTOR_FITTING_ROUNDS):
         basis = _basis(s, poles)
         columns, right = [], []
-        for response, present, precise in zip(responses, known, precision, strict=True):
+        for value, weight in zip(values, weights, strict=True):
             design = np.hstack([basis, np.ones((s.size, 1)), s[:, None]])
-            weight = present * precise / np.maximum(np.abs(np.where(present, response, 1.0)), 1e-300)
-            value = np.where(present, response, 0.0)
             numerator = _real(weight[:, None] * design)
             q = np.linalg.qr(numerator)[0]
             moved = _real(-weight[:, None] * value[:, None] * basis)
@@ -157,36 +155,30 @@ def measured_modes(
         poles = -np.abs(found.real) + 1j * found.imag
         if not poles.size:
             return Modes(np.zeros(0, dtype=np.complex128), np.zeros((0, len(responses)), dtype=np.complex128))
-    return _kept(frequency_hz, responses, known, poles, s, scale, local, noise)
+    return _kept(frequency_hz, values, weights, noise, poles, s, scale, local)
 
 
 def _kept(
-    frequency_hz: FloatArray, responses: ComplexArray, known: np.ndarray, poles: ComplexArray, s: ComplexArray,
-    scale: float, local: bool, noise: FloatArray,
+    frequency_hz: FloatArray, values: ComplexArray, weights: FloatArray, noise: FloatArray, poles: ComplexArray,
+    s: ComplexArray, scale: float, local: bool,
 ) -> Modes:  # fmt: skip
     design = np.hstack([_basis(s, poles), np.ones((s.size, 1)), s[:, None]])
     residues, shares = [], []
     at = _basis(np.asarray(1j * poles.imag), poles)
     every = at.reshape(poles.size, poles.size, 2)
-    precision = _LEAST_NOISE / np.hypot(_LEAST_NOISE, noise)
-    for response, present, precise in zip(responses, known, precision, strict=True):
-        weight = (precise[present] / np.abs(response[present]))[:, None]
-        wanted = _real(response[present, None] * weight)[:, 0]
-        found = np.linalg.lstsq(_real(weight * design[present]), wanted, rcond=None)[0]
+    for value, weight in zip(values, weights, strict=True):
+        found = np.linalg.lstsq(_real(weight[:, None] * design), _real(weight * value), rcond=None)[0]
         pairs = found[: 2 * poles.size].reshape(-1, 2)
         residues.append(pairs[:, 0] + 1j * pairs[:, 1])
         parts = np.einsum("kjc,jc->kj", every, pairs)
         others = found[-2] + 1j * poles.imag * found[-1]
         # At an antiresonance the sum is zero and any pole is a large share of it; two channels have it at other lines.
-        sizes = np.abs(np.diag(parts))
-        sums = np.sqrt(np.maximum(np.abs(parts.sum(axis=1) + others) ** 2, 1e-300))
-        apart = np.sqrt(np.maximum(np.sum(np.abs(parts) ** 2, axis=1) + np.abs(others) ** 2, 1e-300))
-        shares.append((sizes / apart, sizes / sums))
+        together = np.linalg.norm(np.column_stack((parts, others)), axis=1), np.abs(parts.sum(axis=1) + others)
+        shares.append(np.abs(np.diag(parts)) / np.maximum(together, 1e-300))
     # A channel is asked where it has lines around a pole, whose noise is less than the share that is asked for.
     nearest = np.argmin(np.abs(poles.imag[:, None] - s.imag), axis=1)
     around = np.clip(nearest[:, None] + np.arange(-2, 3), 0, s.size - 1)
-    doubt = THRESHOLDS.modes.missed_sigmas * np.where(known, noise, np.inf)[:, around]
-    doubt = np.sort(doubt, axis=2)[:, :, _LINES_AROUND - 1]
+    doubt = THRESHOLDS.modes.missed_sigmas * np.sort(noise[:, around], axis=2)[:, :, _LINES_AROUND - 1]
     of_parts, of_sums = np.moveaxis(np.array(shares), 1, 0)
     damping = -poles.real / np.abs(poles)
     in_hz = scale / (2.0 * np.pi)
@@ -213,9 +205,8 @@ def _carries(of_parts: FloatArray, of_sums: FloatArray, doubt: FloatArray, local
     """
     limits = THRESHOLDS.modes
     main = np.where(doubt < limits.mode_share, of_parts, np.nan)
-    with np.errstate(invalid="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # no channel tells
-        largely = np.asarray(np.nanmedian(main, axis=0) > limits.mode_share)
+    main[:, np.isnan(main).all(axis=0)] = 0.0
+    largely = np.asarray(np.nanmedian(main, axis=0) > limits.mode_share)
     if not local:
         return largely
     second = np.sort(np.where(doubt < limits.missing_share, of_sums, 0.0), axis=0)[-2:][0]

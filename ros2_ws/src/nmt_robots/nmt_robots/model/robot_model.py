@@ -64,7 +64,7 @@ class Joint:
     gear: float = 1.0
 
     def units(self, text: str) -> str:
-        """A text for a joint that turns as it is for this one."""
+        """A text about a joint that turns, in the units and words of this joint."""
         if self.turns:
             return text
         for turning, sliding in _OF_SLIDES:
@@ -73,12 +73,12 @@ class Joint:
 
     @property
     def effort_unit(self) -> str:
-        """Of what its drive exerts."""
+        """Unit of the effort of its drive: N·m, or N of a joint that slides."""
         return self.units("N·m")
 
 
 def effort_units(joints: Sequence[Joint]) -> str:
-    """Unit of a column that has all joints."""
+    """Unit that heads a column of the efforts of several joints."""
     slides = [not joint.turns for joint in joints]
     return "N·m" if not any(slides) else "N" if all(slides) else "N·m; N of a slide"
 
@@ -91,7 +91,7 @@ def rms_by_unit(joints: Sequence[Joint], values: Sequence[float]) -> dict[str, f
 
 
 def rms_text(by_unit: dict[str, float]) -> str:
-    """In a sentence."""
+    """Efforts by unit in words, as ``3.2 N·m and 1.1 N``."""
     return " and ".join(f"{value:.3g} {unit}" for unit, value in by_unit.items())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import matplotlib
@@ -36,7 +37,7 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
         kicker="Diagnosis of a robot",
         heading=diagnosis.model.name,
         subtitle=f"{len(diagnosis.joints)} joints, {diagnosis.log.rows} rows at "
-        f"{1.0 / diagnosis.log.step_s:.4g} Hz of {diagnosis.log.source}",
+        f"{1.0 / diagnosis.log.step_s:.4g} Hz of {Path(diagnosis.log.source).name}",
         verdict=(diagnosis.verdict, "partly" if faults or differing else "good"),
         answers=_answers(diagnosis),
         cards=_cards(diagnosis),
@@ -228,7 +229,7 @@ def _motions(replay: Replay) -> ReportFigure:
     grid[0][1].set_ylabel("tool off (mm)")
     for row, joint in zip(grid[1:], chosen, strict=True):
         small, unit = ("mrad", "rad") if replay.turns[joint] else ("mm", "m")
-        row[0].set_ylabel(f"off ({small}, rms)")
+        row[0].set_ylabel(f"{replay.joints[joint]} off ({small}, rms)")
         row[1].set_ylabel(f"{replay.joints[joint]} ({unit})")
     grid[-1][0].set_xlabel("time since the measured state (s)")
     grid[-1][1].set_xlabel("time (s)")

@@ -284,7 +284,7 @@ _GAINS = {"kp": "position", "kd": "velocity"}
 _DISTURBING = 0.15
 """Torque left over in a joint, as a share, from which others next to it pay for its motion."""
 _BEYOND = 3.0
-"""Of what another joint's motion may do to a joint, up to which nothing is claimed there."""
+"""Multiple of the torque that another joint's motion may cause in a joint, up to which nothing is claimed there."""
 _TOLERANCES = {
     "coulomb": THRESHOLDS.coulomb_tolerance,
     "viscous": THRESHOLDS.damping_tolerance,

@@ -69,7 +69,7 @@ class Replay:
         how: what drives them and where they lie; why there are none of a length.
         joints: names of the columns.
         turns: of each of them, whether it turns.
-        tool: name of what the distance of the robot's ends is of.
+        tool: name of the body, or number of limbs, whose ends are compared.
         step_s: between rows.
         starts: first rows of the windows.
         measured: windows × rows × J.
@@ -153,7 +153,7 @@ def _enumerated(words: Sequence[str]) -> str:
 
 
 def _sizes(values: Sequence[float], unit: str) -> str:
-    """In thousandths."""
+    """Distances in rad or m as words in mrad or mm."""
     return f"{_enumerated([missed_text(value) for value in values])} {unit}"
 
 

@@ -105,19 +105,14 @@ def verdict_with_transmission(joint: Joint, found: JointWithTransmission, plain:
         other = ("elastic transmission",) if alike else ()
         # The stiffness behind it is not reported: it reads a quarter to a half of the true one.
         term = JointTerm(
-            "backlash",
-            "backlash from end to end,",
-            joint.units("rad"),
-            item.gap,
-            item.gap_std,
-            0.0,
-            found.share,
-            True,
+            "backlash", "backlash from end to end,", joint.units("rad"), item.gap, item.gap_std, 0.0, found.share, True,
             other,
-        )
+        )  # fmt: skip
     else:
         other = ("backlash",) if alike else ()
-        term = JointTerm("elastic", "elastic transmission, stiffness", joint.units("N·m/rad"), item.stiffness,
-                    item.stiffness_std, 0.0, found.share, True, other)  # fmt: skip
+        term = JointTerm(
+            "elastic", "elastic transmission, stiffness", joint.units("N·m/rad"), item.stiffness, item.stiffness_std,
+            0.0, found.share, True, other,
+        )  # fmt: skip
     return replace(verdict, terms=(term, *verdict.terms), unchanged=plain.unchanged, plain=plain.plain,
                    last_plain=plain.last_plain, transmission=item)  # fmt: skip

@@ -59,13 +59,13 @@ def test_one_coordinate_is_the_general_case(name: str, substeps: int) -> None:
     tables = local_tables([ELEMENTS[name]], FourierBasis.up_to(1), 16)
     model, factor = oscillators(), np.zeros(3)
     start = np.array([1e-3 + 2e-3j, -5e-4j])
-    general = _step_all(drive, substeps, 1, model, factor, tables.elements, no_timed_elements(1), start)
+    general = _step_all(drive[np.newaxis], substeps, 1, model, factor, tables.elements, no_timed_elements(1), start)
     one = _step_one(drive, substeps, model, tables.elements, start)
     assert one.shape == (2, 3000 // substeps)
     # Sums run in another order; where an iteration ends, that may be a step earlier or later.
     np.testing.assert_allclose(one, general, atol=1e-8 * np.abs(general).max())
-    np.testing.assert_array_equal(step_through(drive, substeps, 1, model, factor, tables, start), one)
-    at_rest = step_through(drive, substeps, 1, model, factor, tables)
+    np.testing.assert_array_equal(step_through(drive[np.newaxis], substeps, 1, model, factor, tables, start), one)
+    at_rest = step_through(drive[np.newaxis], substeps, 1, model, factor, tables)
     assert np.abs(one[:, :100] - at_rest[:, :100]).max() > 0.0, "the start counts"
-    free = step_through(drive, substeps, 1, model, factor, local_tables([()], FourierBasis.up_to(1), 16))
+    free = step_through(drive[np.newaxis], substeps, 1, model, factor, local_tables([()], FourierBasis.up_to(1), 16))
     assert np.abs(one - free).max() > 0.05 * np.abs(free).max(), "the elements act"

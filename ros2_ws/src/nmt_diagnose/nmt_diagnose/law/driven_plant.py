@@ -16,10 +16,9 @@ import numpy as np
 
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.numerics.kernels import njit
-from nmt_diagnose.measurements.driven_record import stepped_model
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.record_kernel import SteppedModel
+from nmt_diagnose.prediction.record_kernel import SteppedModel, poles_at, stepped_model
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_diagnose.prediction.rig_tables import GAIN
 
@@ -134,21 +133,19 @@ class DrivenPlant:
     def answer(self, number: int, force: FloatArray, at: IntArray) -> FloatArray:
         """Channels (c, T) at some steps under a force at an input, N, (n,), from rest."""
         model, rows = self.fine, slice(self.coordinates, None)
-        return np.asarray(
-            _answer(
-                model.decay, model.early[:, number].copy(), model.late[:, number].copy(), model.outputs[rows].copy(),
-                model.direct[rows, number].copy(), np.ascontiguousarray(force), at,
-            )
-        )  # fmt: skip
+        poles = self._poles_under(number, force, at)
+        return np.asarray(_seen(model.outputs[rows], poles) + np.outer(model.direct[rows, number], force[at]))
 
     def motion_under(self, number: int, force: FloatArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
         """Displacements and velocities (r + p, n) along the directions at all steps, and poles (samples, k)."""
-        model, d = self.fine, self.coordinates
-        outputs = np.concatenate((model.outputs[:d], model.velocities))
+        model = self.fine
+        poles = self._poles_under(number, force, np.arange(force.size))
+        return _seen(model.outputs[: self.coordinates], poles), _seen(model.velocities, poles), poles[:: self.stride]
+
+    def _poles_under(self, number: int, force: FloatArray, at: IntArray) -> ComplexArray:
+        model = self.fine
         early, late = model.early[:, number].copy(), model.late[:, number].copy()
-        force = np.ascontiguousarray(force)
-        found = _answer(model.decay, early, late, outputs, np.zeros(2 * d), force, np.arange(force.size))
-        return found[:d], found[d:], _states(model.decay, early, late, force, self.stride)
+        return np.asarray(poles_at(model.decay, early, late, np.ascontiguousarray(force)[:, np.newaxis], at))
 
     def answer_of_all(self, forces: FloatArray, at: IntArray) -> FloatArray:
         """Channels (c, T) at some recorded samples under forces on all unknowns, (samples, N), from rest."""
@@ -163,8 +160,7 @@ class DrivenPlant:
         keep = np.flatnonzero(self.linear.poles.imag >= 0.0)
         early, late = each.early[np.arange(keep.size), keep], each.late[np.arange(keep.size), keep]
         rows = slice(self.coordinates, self.coordinates + self.channels)
-        driven = forces @ self.over_poles.T
-        return np.asarray(_answer_of_poles(model.decay, early, late, model.outputs[rows].copy(), driven, at))
+        return _seen(model.outputs[rows], poles_at(model.decay, early, late, forces @ self.over_poles.T, at))
 
 
 @dataclass(frozen=True)
@@ -251,6 +247,11 @@ def unknown_motion(
     return UnknownMotion(x, v, forces[:, 0], stds[0], force_size * stds[1], poles, tuple(chosen), forces)
 
 
+def _seen(outputs: ComplexArray, poles: ComplexArray) -> FloatArray:
+    """Outputs (o, T) of poles, (T, k)."""
+    return np.asarray(outputs.real @ poles.real.T - outputs.imag @ poles.imag.T)
+
+
 def _real(values: ComplexArray) -> FloatArray:
     return np.vstack((values.real, values.imag))
 
@@ -296,79 +297,6 @@ def _start(a: FloatArray, c: FloatArray, gain: FloatArray, measured: FloatArray)
     flat = columns.reshape(-1, len(a))
     sizes = np.maximum(np.linalg.norm(flat, axis=0), 1e-300)
     return np.asarray(np.linalg.lstsq(flat / sizes, surprises.ravel(), rcond=1e-6)[0] / sizes)
-
-
-@njit(cache=True)
-def _states(
-    decay: ComplexArray, early: ComplexArray, late: ComplexArray, force: FloatArray, stride: int
-) -> ComplexArray:
-    """Poles at every so many steps under a force at the steps."""
-    k = decay.size
-    state = np.zeros(k, dtype=np.complex128)
-    result = np.zeros(((force.size + stride - 1) // stride, k), dtype=np.complex128)
-    for n in range(1, force.size):
-        for j in range(k):
-            state[j] = decay[j] * state[j] + early[j] * force[n - 1] + late[j] * force[n]
-        if n % stride == 0:
-            result[n // stride] = state
-    return result
-
-
-@njit(cache=True)
-def _answer(
-    decay: ComplexArray,
-    early: ComplexArray,
-    late: ComplexArray,
-    outputs: ComplexArray,
-    direct: FloatArray,
-    force: FloatArray,
-    at: IntArray,
-) -> FloatArray:
-    """Outputs at some ascending steps under a force at the steps."""
-    k, rows = decay.size, outputs.shape[0]
-    state = np.zeros(k, dtype=np.complex128)
-    result = np.zeros((rows, at.size))
-    place = 0
-    for n in range(force.size):
-        if n > 0:
-            for j in range(k):
-                state[j] = decay[j] * state[j] + early[j] * force[n - 1] + late[j] * force[n]
-        while place < at.size and at[place] == n:
-            for i in range(rows):
-                y = direct[i] * force[n]
-                for j in range(k):
-                    y += outputs[i, j].real * state[j].real - outputs[i, j].imag * state[j].imag
-                result[i, place] = y
-            place += 1
-    return result
-
-
-@njit(cache=True)
-def _answer_of_poles(
-    decay: ComplexArray,
-    early: ComplexArray,
-    late: ComplexArray,
-    outputs: ComplexArray,
-    driven: ComplexArray,
-    at: IntArray,
-) -> FloatArray:
-    """Outputs at some ascending samples where each pole is driven by a series of its own, (samples, k)."""
-    k, rows = decay.size, outputs.shape[0]
-    state = np.zeros(k, dtype=np.complex128)
-    result = np.zeros((rows, at.size))
-    place = 0
-    for n in range(driven.shape[0]):
-        if n > 0:
-            for j in range(k):
-                state[j] = decay[j] * state[j] + early[j] * driven[n - 1, j] + late[j] * driven[n, j]
-        while place < at.size and at[place] == n:
-            for i in range(rows):
-                y = 0.0
-                for j in range(k):
-                    y += outputs[i, j].real * state[j].real - outputs[i, j].imag * state[j].imag
-                result[i, place] = y
-            place += 1
-    return result
 
 
 @njit(cache=True)

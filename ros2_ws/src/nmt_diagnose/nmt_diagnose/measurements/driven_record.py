@@ -33,7 +33,7 @@ from nmt_diagnose.prediction.linear_model import LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.predictor import Predictor
-from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through
+from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through, stepped_model
 from nmt_diagnose.prediction.resting_motion import (
     Motion,
     noise_motion,
@@ -223,7 +223,7 @@ class RecordPredictor(Predictor):
         timed = parts.timed.tables(self.test.signals, substeps)
 
         def simulated(samples: int, start: ComplexArray) -> FloatArray:
-            part, every = drive[: samples * substeps], substeps * self.test.head_stride
+            part, every = drive[np.newaxis, : samples * substeps], substeps * self.test.head_stride
             return step_through(part, every, parts.coordinates, model, parts.force_factor, parts.tables, start, timed)
 
         if state is not None:
@@ -311,38 +311,6 @@ def recorded(raw: FloatArray, parts: RigParts, channels: IntArray, rate: float) 
         if step > 0.0 and noise < 0.7 * step:
             result[position] = expected_quantised(result[position], step, noise)
     return result
-
-
-def stepped_model(model: LinearModel, coordinates: int, rows: np.ndarray, step: float) -> SteppedModel:
-    """Recursion of the poles over one step.
-
-    Args:
-        model: its first inputs are the forces of the coordinates, its first outputs their displacements.
-        coordinates: number of them.
-        rows: outputs that are wanted.
-        step: s.
-    """
-    keep = model.poles.imag >= 0.0
-    poles = model.poles[keep]
-    weight = np.where(np.abs(poles.imag) > 1e-12 * np.abs(poles), 2.0, 1.0)
-    z = poles * step
-    decay = np.exp(z)
-    small = np.abs(z) < 1e-4
-    safe = np.where(small, 1.0, z)
-    first = np.where(small, 1.0 + z / 2.0 + z**2 / 6.0, (decay - 1.0) / safe)
-    second = np.where(small, 0.5 + z / 6.0 + z**2 / 24.0, (decay - 1.0 - z) / safe**2)
-    inputs = model.inputs[keep]
-    p = model.poles
-    outputs = model.displacement[rows] + model.velocity[rows] * p + model.acceleration[rows] * p**2
-    direct = (model.velocity[rows] + model.acceleration[rows] * model.poles) @ model.inputs + model.feedthrough[rows]
-    return SteppedModel(
-        decay,
-        np.ascontiguousarray(step * (first - second)[:, None] * inputs),
-        np.ascontiguousarray(step * second[:, None] * inputs),
-        np.ascontiguousarray(outputs[:, keep] * weight),
-        np.ascontiguousarray(model.displacement[:coordinates, keep] * poles * weight),
-        np.ascontiguousarray(direct.real),
-    )
 
 
 # -- reading ---------------------------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ from nmt_diagnose.measurements.driven_record import (
     recorded,
     refinement,
     spread_samples,
-    stepped_model,
     substeps_of,
     white_noise,
 )
@@ -33,11 +32,11 @@ from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.observables import Part, Place, Rows
 from nmt_diagnose.observations.observation_settings import ObservationSettings
-from nmt_diagnose.prediction.imposed_kernel import MOTIONS_GIVEN, follow
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.predictor import Predictor
+from nmt_diagnose.prediction.record_kernel import MOTIONS_GIVEN, step_through, stepped_model
 from nmt_diagnose.prediction.resting_motion import (
     Motion,
     resting_response,
@@ -171,7 +170,7 @@ class ImposedMotionPredictor(Predictor):
         model = stepped_model(free, parts.coordinates, rows, 1.0 / (rate * substeps))
         steps = _between(motion * np.array([1.0, parts.clock, parts.clock**2])[:, None], substeps)
         timed = parts.timed.tables(test.signals, substeps)
-        raw = follow(steps, substeps, parts.coordinates, model, parts.force_factor, parts.tables, timed)
+        raw = step_through(steps, substeps, parts.coordinates, model, parts.force_factor, parts.tables, timed=timed)
         return recorded(raw, parts, self._own, rate)
 
 

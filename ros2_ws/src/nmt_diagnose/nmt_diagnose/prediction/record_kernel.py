@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.numerics.kernels import loop_step, njit
+from nmt_diagnose.prediction.linear_model import LinearModel
 from nmt_diagnose.prediction.rig_tables import FACTOR_LINEAR, FACTOR_QUADRATIC
 from nmt_diagnose.prediction.timed_elements import TimedTables, no_timed_elements, timed_force
 from nmt_rig.model.aft import ElementTables, LocalTables
@@ -23,6 +25,8 @@ from nmt_rig.model.local_elements.friction import Jenkins
 
 _moved = njit(Jenkins.moved)
 
+MOTIONS_GIVEN = 3
+"""Inputs where the drive point is moved: its displacement, velocity and acceleration."""
 ITERATIONS = 12
 TOLERANCE = 1e-7  # of the largest force so far
 
@@ -224,8 +228,8 @@ def _solve_forces(
 
 @njit(cache=True, fastmath={"reassoc", "contract", "nsz"})
 def _step_all(
-    drive: FloatArray,
-    substeps: int,
+    inputs: FloatArray,
+    stride: int,
     r: int,
     model: SteppedModel,
     factor: FloatArray,
@@ -238,9 +242,9 @@ def _step_all(
     The state is that before the forces at the end of a step act, real and imaginary parts apart, as in `_step_one`.
     """
     recursion, forces, motions, channels, by_force = _tables_of_all(model, r)
-    direct = model.direct[r:, r].copy()
-    count, c = model.decay.size, direct.size
-    result = np.empty((c, (drive.size + substeps - 1) // substeps))
+    direct = model.direct[:, r:].copy()
+    count, given, c = model.decay.size, inputs.shape[0], direct.shape[0] - r
+    result = np.empty((c, (inputs.shape[1] + stride - 1) // stride))
     sliders = elements.jenkins.shape[0]
     steps = _room(model, r, sliders, timed.kinds.size)
     g, trial, before, free_w, free_v = steps.g, steps.trial, steps.before, steps.free_w, steps.free_v
@@ -248,21 +252,25 @@ def _step_all(
     forces_of_motion = sliders + elements.contacts.shape[0] + elements.kinds.size + timed.kinds.size
     free = forces_of_motion == 0 and elements.jenkins_start.size - 1 == r
     largest = 1e-300
-    previous = 0.0
-    for n in range(drive.size):
-        u = drive[n]
+    previous = np.zeros(given)
+    for n in range(inputs.shape[1]):
+        was, u = previous[0], inputs[0, n]
         for k in range(count):
             re = state[k]
             im = state[count + k]
             state[k] = (
-                recursion[k] * re - recursion[count + k] * im + recursion[2 * count + k] * previous
-                + recursion[4 * count + k] * u
+                recursion[0, k] * re - recursion[0, count + k] * im + recursion[1, k] * was + recursion[2, k] * u
             )  # fmt: skip
             state[count + k] = (
-                recursion[k] * im + recursion[count + k] * re + recursion[3 * count + k] * previous
-                + recursion[5 * count + k] * u
+                recursion[0, k] * im + recursion[0, count + k] * re + recursion[1, count + k] * was
+                + recursion[2, count + k] * u
             )  # fmt: skip
-        previous = u
+        for j in range(1, given):
+            was, u = previous[j], inputs[j, n]
+            for k in range(2 * count):
+                state[k] += recursion[2 * j + 1, k] * was + recursion[2 * j + 2, k] * u
+        for j in range(given):
+            previous[j] = inputs[j, n]
         if not free:
             for j in range(r):
                 force = g[j]
@@ -274,6 +282,9 @@ def _step_all(
                 for k in range(2 * count):
                     a += motions[i, k] * state[k]
                     b += motions[r + i, k] * state[k]
+                if given == MOTIONS_GIVEN:
+                    a += direct[i, 0] * previous[0]
+                    b += direct[i, 0] * previous[1]
                 free_w[i] = a
                 free_v[i] = b
                 # Where the force seems to go: a step of the iteration saved.
@@ -282,14 +293,16 @@ def _step_all(
             _solve_forces(steps, largest, factor, elements, timed, n)
             for j in range(r):
                 largest = max(largest, abs(g[j]))
-        if n % substeps == 0:
+        if n % stride == 0:
             for o in range(c):
-                y = direct[o] * u
+                y = 0.0
+                for j in range(given):
+                    y += direct[r + o, j] * previous[j]
                 for j in range(r):
                     y -= by_force[o, j] * g[j]
                 for k in range(2 * count):
                     y += channels[o, k] * state[k]
-                result[o, n // substeps] = y
+                result[o, n // stride] = y
     return result
 
 
@@ -298,18 +311,21 @@ def _tables_of_all(model: SteppedModel, r: int) -> tuple[FloatArray, FloatArray,
     """Coefficients of a step, real and imaginary parts apart.
 
     Returns:
-        Recursion of the poles and shares of the input, (6 k,); of the forces at the end of the step before, (r, 2 k);
-        of the state in displacements and velocities, (2 r, 2 k), and in the channels, (c, 2 k); of the forces at the
-        end in the channels, (c, r).
+        Recursion of the poles, then shares of each input at both ends of a step, (1 + 2 inputs, 2 k); of the forces at
+        the end of the step before, (r, 2 k); of the state in displacements and velocities, (2 r, 2 k), and in the
+        channels, (c, 2 k); of the forces at the end in the channels, (c, r).
     """
     decay, early, late, outputs, velocities, direct = model
-    count, c = decay.size, outputs.shape[0] - r
-    recursion, forces = np.empty(6 * count), np.empty((r, 2 * count))
+    count, c, given = decay.size, outputs.shape[0] - r, early.shape[1] - r
+    recursion, forces = np.empty((1 + 2 * given, 2 * count)), np.empty((r, 2 * count))
     motions, channels, by_force = np.empty((2 * r, 2 * count)), np.empty((c, 2 * count)), np.empty((c, r))
     for k in range(count):
-        for row, value in enumerate((decay[k], early[k, r], late[k, r])):
-            recursion[2 * row * count + k] = value.real
-            recursion[(2 * row + 1) * count + k] = value.imag
+        recursion[0, k] = decay[k].real
+        recursion[0, count + k] = decay[k].imag
+        for j in range(given):
+            for row, value in enumerate((early[k, r + j], late[k, r + j])):
+                recursion[2 * j + 1 + row, k] = value.real
+                recursion[2 * j + 1 + row, count + k] = value.imag
         for j in range(r):
             force = decay[k] * late[k, j] + early[k, j]
             forces[j, k] = force.real
@@ -447,8 +463,8 @@ def _channels_of_one(model: SteppedModel) -> tuple[FloatArray, FloatArray]:
 
 
 def step_through(
-    drive: FloatArray,
-    substeps: int,
+    inputs: FloatArray,
+    stride: int,
     r: int,
     model: SteppedModel,
     factor: FloatArray,
@@ -459,8 +475,8 @@ def step_through(
     """Channels, shape (c, samples).
 
     Args:
-        drive: input at the steps.
-        substeps: steps from one wanted sample to the next; the first step is one.
+        inputs: drive at the steps, (1, n), or the motion of the drive point, (3, n).
+        stride: steps from one wanted sample to the next; the first step is one.
         r: number of coordinates.
         model: recursion of the poles.
         factor: force factor and its dependence on displacement.
@@ -472,8 +488,66 @@ def step_through(
     timed = timed or no_timed_elements(elements.jenkins_start.size - 1)
     state = np.zeros(model.decay.size, dtype=np.complex128) if start is None else start
     found: FloatArray
-    if r == 1 and elements.jenkins_start.size == 2 and not timed.kinds.size:
-        found = _step_one(drive, substeps, model, elements, state)
+    if r == 1 and inputs.shape[0] == 1 and elements.jenkins_start.size == 2 and not timed.kinds.size:
+        found = _step_one(inputs[0], stride, model, elements, state)
     else:
-        found = _step_all(drive, substeps, r, model, factor, elements, timed, state)
+        found = _step_all(np.ascontiguousarray(inputs), stride, r, model, factor, elements, timed, state)
     return found
+
+
+@njit(cache=True)
+def poles_at(
+    decay: ComplexArray, early: ComplexArray, late: ComplexArray, driven: NDArray[Any], at: IntArray
+) -> ComplexArray:
+    """Poles (T, k) at some ascending steps, from rest, without local forces.
+
+    Args:
+        decay: of a step, (k,).
+        early, late: shares of the input at the beginning and at the end of a step, (k,).
+        driven: input at the steps, (n, 1), or one of each pole, (n, k).
+        at: steps that are wanted, (T,).
+    """
+    k, own = decay.size, int(driven.shape[1] > 1)
+    state = np.zeros(k, dtype=np.complex128)
+    result = np.zeros((at.size, k), dtype=np.complex128)
+    place = 0
+    for n in range(driven.shape[0]):
+        if n > 0:
+            for j in range(k):
+                state[j] = decay[j] * state[j] + early[j] * driven[n - 1, own * j] + late[j] * driven[n, own * j]
+        while place < at.size and at[place] == n:
+            result[place] = state
+            place += 1
+    return result
+
+
+def stepped_model(model: LinearModel, coordinates: int, rows: np.ndarray, step: float) -> SteppedModel:
+    """Recursion of the poles over one step.
+
+    Args:
+        model: its first inputs are the forces of the coordinates, its first outputs their displacements.
+        coordinates: number of them.
+        rows: outputs that are wanted.
+        step: s.
+    """
+    keep = model.poles.imag >= 0.0
+    poles = model.poles[keep]
+    weight = np.where(np.abs(poles.imag) > 1e-12 * np.abs(poles), 2.0, 1.0)
+    z = poles * step
+    decay = np.exp(z)
+    small = np.abs(z) < 1e-4
+    safe = np.where(small, 1.0, z)
+    first = np.where(small, 1.0 + z / 2.0 + z**2 / 6.0, (decay - 1.0) / safe)
+    second = np.where(small, 0.5 + z / 6.0 + z**2 / 24.0, (decay - 1.0 - z) / safe**2)
+    inputs = model.inputs[keep]
+    p = model.poles
+    outputs = model.displacement[rows] + model.velocity[rows] * p + model.acceleration[rows] * p**2
+    direct = (model.velocity[rows] + model.acceleration[rows] * model.poles) @ model.inputs + model.feedthrough[rows]
+    return SteppedModel(
+        decay,
+        np.ascontiguousarray(step * (first - second)[:, None] * inputs),
+        np.ascontiguousarray(step * second[:, None] * inputs),
+        np.ascontiguousarray(outputs[:, keep] * weight),
+        np.ascontiguousarray(model.displacement[:coordinates, keep] * poles * weight),
+        np.ascontiguousarray(direct.real),
+    )

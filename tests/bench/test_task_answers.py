@@ -62,7 +62,7 @@ def test_what_is_asked_is_answered_once_and_a_stop_is_always_taken() -> None:
             view.take({"question": "mode 2, 12 s: tells one from the other"})
             assert read_frame(view.facts())[0]["question"].startswith("mode 2")
             assert await posted(server, client, "perhaps") == (400, "An answer is one of yes, no, stop")
-            assert await posted(server, client, "no") == (200, "Another one is looked for")
+            assert await posted(server, client, "no") == (200, "The bench searches another one")
             assert (await posted(server, client, "no"))[0] == 400
             assert await posted(server, client, "stop") == (200, "It ends")
             view.take({"outcome": "The cause has a name."})

@@ -68,7 +68,7 @@ if words[0] == "diagnose":
 """
 
 
-def test_a_plan_is_run_beside_its_truth(tmp_path: Path) -> None:
+def test_a_plan_is_run_with_bench_its_truth(tmp_path: Path) -> None:
     case, script = tmp_path / "cases" / "arm", tmp_path / "program.py"
     case.mkdir(parents=True)
     script.write_text(PROGRAM)

@@ -317,7 +317,7 @@ def test_a_stepped_sine_of_the_model_has_no_law() -> None:
 
 def test_where_no_term_acts_no_law_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     """A force that is not a passive one: all coefficients of all laws are zero."""
-    monkeypatch.setattr(LawSearch, "again", lambda search, candidate: SimpleNamespace(elements=0))
+    monkeypatch.setattr(LawSearch, "refit", lambda search, candidate: SimpleNamespace(elements=0))
     found = read_law(chain_of_masses(), held([(3, "cubic", (4.0e8,), ())]))
     assert found is not None
     assert (found.laws, found.refusals) == ((), ("no local force explains them",))

@@ -182,7 +182,9 @@ def test_a_strength_beyond_its_ordinary_prior_is_found_from_where_the_score_puts
     """A strength that its prior holds back would be taken for noise: the scale of the noise would grow instead."""
     search, cubic = _table_search()
     null = alone(search)
-    found = search.added(null, Score(cubic, np.array([start]), 0.0, 1.0, np.zeros(search.data.sigma.size)), lost=np.inf)
+    found = search.with_added(
+        null, Score(cubic, np.array([start]), 0.0, 1.0, np.zeros(search.data.sigma.size)), lost=np.inf
+    )
     assert found is not None
     (value,) = found.fit.parametrisation.values(found.fit.theta, 0).values()
     assert value == pytest.approx(CUBIC, rel=0.1)
@@ -334,7 +336,7 @@ def test_an_effect_that_is_not_there_lowers_the_evidence() -> None:
     cubic = next(own for own in every if own.effect.name == "cubic_stiffness")
     search = Search(data, MODEL, calibration_parameters(MODEL), [cubic])
     null = alone(search)
-    found = search.added(null, Score(0, np.array([0.01]), 0.0, 1.0, np.zeros(data.sigma.size)), lost=np.inf)
+    found = search.with_added(null, Score(0, np.array([0.01]), 0.0, 1.0, np.zeros(data.sigma.size)), lost=np.inf)
     assert found is not None
     assert found.fit.cost < null.fit.cost + 0.5
     assert found.fit.log_evidence < null.fit.log_evidence - 1.0
@@ -395,9 +397,9 @@ def test_two_laws_that_explain_everything_may_imitate_a_third() -> None:
 
     def beside(number: int) -> FittedExplanation:
         score = next(it for it in search.scores(single) if it.candidate == number)
-        found = search.added(single, score)
+        found = search.with_added(single, score)
         assert found is not None
-        return search.again(found)
+        return search.refit(found)
 
     two = beside(1 - search.candidates.index(single.candidates[0]))
     assert [laws(found) for found in (two, single, beside(2))] == [2, 1, 1]

@@ -40,13 +40,13 @@ class Counted:
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.fits = 0
         self.held_out: list[tuple[int, str]] = []
-        added = search_module.Search.added
+        added = search_module.Search.with_added
 
         def counted(*arguments: Any, **more: Any) -> Any:
             self.fits += 1
             return added(*arguments, **more)
 
-        patch.setattr(search_module.Search, "added", counted)
+        patch.setattr(search_module.Search, "with_added", counted)
         left = held_out_module.refit
 
         def noted(fitted: Any, all_data: Any, found: Any, split: Any) -> Any:

@@ -206,7 +206,7 @@ def test_sensors_that_would_tell_apart_what_no_level_does(
     known = candidates(model, operating_range(model, observations.tests, observations=observations))
     search = Search(data, model, parameters, [it for it in known if it.label.startswith(rivals)])
     best = {score.candidate: score for score in reversed(search.scores(null))}
-    found = [it for score in best.values() if (it := search.added(null, score)) is not None]
+    found = [it for score in best.values() if (it := search.with_added(null, score)) is not None]
     pair = [next(it for it in found if it.explanation.label.startswith(name)) for name in rivals]
     sensors = other_sensors(model, observations, null, compared((tuple(pair), 1.0)), (), data.chain_names)
     tests = [item.test for item in sensors]

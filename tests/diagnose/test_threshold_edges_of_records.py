@@ -203,7 +203,7 @@ def diverged(rise: float) -> bool:
         patch("nmt_diagnose.search.search.strength_position", lambda candidate: 0),
         patch("nmt_diagnose.search.search.at_strength", lambda candidate, start, strength: start),
     ):
-        return Search.added(search, base, score) is None
+        return Search.with_added(search, base, score) is None
 
 
 def recalibrates(fall: float) -> float:

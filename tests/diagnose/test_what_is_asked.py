@@ -26,7 +26,7 @@ from nmt_diagnose.ledger.diagnosis import Ranked, Verdict
 from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
     Size,
-    beside_simpler,
+    compared_with_simpler,
     contradiction,
     implausible_parameters,
     largest_left,
@@ -139,12 +139,12 @@ def test_what_brings_a_chain_back_to_what_is_believed_is_no_effect_but_its_own_e
     wanted = DiagnosisSettings().matters
     scores = search.scores(null)
     gains = [score for score in scores if "gain" in search.candidates[score.candidate].effect.name]
-    louder = search.added(null, gains[0])
+    louder = search.with_added(null, gains[0])
     assert louder is not None
     assert left_within_belief(search.data, null, wanted) < 1.0
-    assert WITHIN(beside_simpler(search.data, louder, null, wanted)).passed
+    assert WITHIN(compared_with_simpler(search.data, louder, null, wanted)).passed
     laws = [score for score in scores if search.candidates[score.candidate].effect.name == "cubic_stiffness"]
-    stiffer = search.added(null, laws[0])
+    stiffer = search.with_added(null, laws[0])
     assert stiffer is not None
     assert needed(search.data, stiffer, [null], wanted).stated == ()
 
@@ -211,7 +211,7 @@ def test_no_effect_is_needed_where_the_model_alone_lies_within_the_noise() -> No
     search, null = searched_model()
     wanted = DiagnosisSettings().matters
     assert not leaves_something(search.data, null, wanted)
-    for found in [it for score in search.scores(null)[:3] if (it := search.added(null, score)) is not None]:
+    for found in [it for score in search.scores(null)[:3] if (it := search.with_added(null, score)) is not None]:
         assert needed(search.data, found, [null], wanted).stated == ()
 
 
@@ -267,21 +267,21 @@ def test_what_was_fitted_to_other_data_is_fitted_anew_before_it_competes() -> No
     spring = {"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}
     search, null = searched(real(MODEL, local_elements=[spring]))
     scores = {search.candidates[it.candidate].cause.label: it for it in search.scores(null)}
-    leader, other = (search.added(null, scores[f"{law}_stiffness@2"]) for law in ("cubic", "quintic"))
+    leader, other = (search.with_added(null, scores[f"{law}_stiffness@2"]) for law in ("cubic", "quintic"))
     assert leader is not None
     assert other is not None
     used = np.zeros(len(search.data.used), dtype=bool)
     used[::2] = True
     part = Search(replace(search.data, used=search.data.used & used), search.rig, search.parameters, search.candidates)
-    before = part.again(other)
+    before = part.refit(other)
     assert before.fit.log_evidence > other.fit.log_evidence + 100.0
-    near, far = search.other_laws(search.again(leader), [before])
+    near, far = search.other_laws(search.refit(leader), [before])
     found = [it for it in (*near, *far) if it.fit is not before.fit]
-    assert all(it.fit.log_evidence == pytest.approx(search.again(other).fit.log_evidence, abs=1.0) for it in found)
+    assert all(it.fit.log_evidence == pytest.approx(search.refit(other).fit.log_evidence, abs=1.0) for it in found)
     assert all(it.fit is not before.fit for it in near)
 
     nowhere = replace(other.fit, theta=np.full_like(other.fit.theta, np.nan))
-    assert search.again(FittedExplanation(other.candidates, nowhere)).fit.log_evidence == -np.inf
+    assert search.refit(FittedExplanation(other.candidates, nowhere)).fit.log_evidence == -np.inf
 
 
 def test_no_third_effect_is_looked_for_beside_two_laws() -> None:

@@ -156,7 +156,7 @@ def test_what_turns_has_its_unit_on_the_topic_of_what_moves(name: str, unit: str
 
 def test_beside_a_plant_its_sample_index_is_taken(table: BridgeTable) -> None:
     random = np.random.default_rng(2)
-    bridge = TopicBridge(table, beside_plant=True)
+    bridge = TopicBridge(table, with_plant=True)
     blocks = []
     # The plant's sample 0 was 7.3 s before the first message; its blocks come at least 4 ms late.
     for k in range(2000):

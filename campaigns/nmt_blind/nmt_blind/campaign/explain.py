@@ -194,8 +194,8 @@ def measured_strength(folder: Path, truth: Mapping[str, Any]) -> float:
     if true is None:
         return math.nan
     search = Search(about(rig, data.observations, true.fit, data.used), rig, parameters, library)
-    true = search.again(true)
-    without = [search.again(explanation) for explanation in _each_left_out(search, true)]
+    true = search.refit(true)
+    without = [search.refit(explanation) for explanation in _each_left_out(search, true)]
     return (
         math.sqrt(max(0.0, min(explanation.fit.cost for explanation in without) - true.fit.cost))
         if without

@@ -370,7 +370,7 @@ def kind_weights(lines: Sequence[RigLine]) -> list[float]:
     expected = 1.0 - strong * (1.0 - THRESHOLDS.comparison.prior_none)
     if not 0.0 < share < 1.0:
         return [1.0] * len(lines)
-    return [expected / share if it else (1.0 - expected) / (1.0 - share) for it in healthy]
+    return [expected / share if is_healthy else (1.0 - expected) / (1.0 - share) for is_healthy in healthy]
 
 
 def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
@@ -379,7 +379,7 @@ def summary(lines: Sequence[RigLine]) -> dict[str, Any]:
     right = [line for line in lines if line.investigation.answer.outcome == "right"]
     information = [pair for line in lines for pair in line.information]
     weights = [w for line, w in zip(lines, kind_weights(lines), strict=True) for _ in line.information]
-    settled = [it for line in lines for it in line.settled]
+    settled = [answer for line in lines for answer in line.settled]
     slope, weighted = information_slope(information), information_slope(information, weights)
     open_slope = information_slope(information, [0.0 if it else w for it, w in zip(settled, weights, strict=True)])
     thinking = [seconds for line in lines for seconds in line.investigation.thinking_s]

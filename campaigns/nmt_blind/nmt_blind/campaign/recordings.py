@@ -114,7 +114,7 @@ def outcome_of(truth: KnownTruth, diagnosis: Mapping[str, Any]) -> str:
         return "by eye"
     verdict = str(diagnosis["verdict"])
     ranking = [entry for entry in diagnosis.get("ranking", ()) if isinstance(entry, dict)]
-    sets = [{effect_set(str(text)) for text in (it.get("effect", ""), *it.get("equivalents", ()))} for it in ranking]
+    sets = [{effect_set(str(text)) for text in (row.get("effect", ""), *row.get("equivalents", ()))} for row in ranking]
     near = {found for alternatives in sets[:3] for found in alternatives}
     if verdict != "effect":
         if frozenset((verdict,)) in truth.right:
@@ -213,7 +213,7 @@ def summary_words(found: Sequence[Said]) -> str:
         known = best.get(answer.case)
         if known is None or OUTCOMES.index(answer.outcome) < OUTCOMES.index(known):
             best[answer.case] = answer.outcome
-    counts = ", ".join(f"{name} {sum(it == name for it in best.values())}" for name in OUTCOMES)
+    counts = ", ".join(f"{name} {sum(label == name for label in best.values())}" for name in OUTCOMES)
     wrong = sum(answer.outcome == "confidently wrong" for answer in found)
     return f"{len(best)} recordings by their best answer: {counts}; answers that are confidently wrong: {wrong}"
 
@@ -225,9 +225,9 @@ def write_recordings(found: Sequence[Said], folder: Path, out: Path) -> tuple[Pa
         BenchError: one cannot be written.
     """
     entries = [
-        {"case": it.case, "command": it.command, "outcome": it.outcome, "answer": it.answer,
-         "closed": None if math.isnan(it.closed) else it.closed, "seconds": round(it.seconds, 1)}
-        for it in found
+        {"case": answer.case, "command": answer.command, "outcome": answer.outcome, "answer": answer.answer,
+         "closed": None if math.isnan(answer.closed) else answer.closed, "seconds": round(answer.seconds, 1)}
+        for answer in found
     ]  # fmt: skip
     files = out / "recordings.csv", out / "recordings.json", out / "recordings.md"
     write_result(files[0], csv_text([list(entries[0]), *(list(entry.values()) for entry in entries)]))
@@ -241,8 +241,8 @@ def _page(found: Sequence[Said], folder: Path) -> list[str]:
     for case in dict.fromkeys(answer.case for answer in found):
         text += ["", f"## {case}", "", f"Known: {read_known(folder / case / TRUTH_FILE).known}.", ""]
         text += ["| command | worth | what is said | gap closed | processor time |", "|---|---|---|---|---|"]
-        for it in (answer for answer in found if answer.case == case):
-            words = " ".join(it.sentences) or it.answer
-            closed = "–" if math.isnan(it.closed) else percent(it.closed, 1)
-            text.append(f"| `{it.command}` | {it.outcome} | {words} | {closed} | {it.seconds:.0f} s |")
+        for item in (answer for answer in found if answer.case == case):
+            words = " ".join(item.sentences) or item.answer
+            closed = "–" if math.isnan(item.closed) else percent(item.closed, 1)
+            text.append(f"| `{item.command}` | {item.outcome} | {words} | {closed} | {item.seconds:.0f} s |")
     return text

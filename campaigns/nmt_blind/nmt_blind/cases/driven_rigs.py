@@ -175,7 +175,7 @@ def make_rigs(out: Path, rig_name: str, seeds: Sequence[int], tolerances: str = 
                 case
                 for count in (24, 240)
                 for case in draw_cases(model, operating, count, seed, (wanted,))
-                if (case.effects or case.shifted) and all(_stands_out(it) for it in case.effects)
+                if (case.effects or case.shifted) and all(_stands_out(effect) for effect in case.effects)
             ),
             None,
         )

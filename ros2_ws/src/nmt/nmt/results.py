@@ -301,7 +301,7 @@ class RunResults(Results):
     @property
     def _with_budget(self) -> tuple[str, ...]:
         """Quantities whose standard uncertainty is the total of a budget."""
-        return tuple(name for name in MEASURED if any(name in it for it in self.repeatability.values()))
+        return tuple(name for name in MEASURED if any(name in table for table in self.repeatability.values()))
 
     def rows(self) -> list[dict[str, Any]]:
         """One row a level: status, level, every measured property with its standard uncertainty and repeatability."""

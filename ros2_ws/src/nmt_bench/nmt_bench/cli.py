@@ -55,7 +55,7 @@ COMMANDS = {
     "linear": "linear modal test: random drive, frequency responses, fitted modes",
     "check": "low-level check of every channel and of the loop before a test on hardware",
     "sweep": "sine sweep or stepped sine with a held force; frequency responses",
-    "synthesis": "frequency response from a backbone alone, beside measured sweeps",
+    "synthesis": "frequency response from a backbone alone, compared with measured sweeps",
     "diagnose": "where model and real rig part, which effect causes it, how far the gap shrinks",
     "investigate": "chooses, runs and stops tests until the gap to a model has a name",
     "import": "data measured elsewhere (tables, MATLAB, LabVIEW, UFF58) as a bag",

@@ -63,7 +63,7 @@ class CommandParser(argparse.ArgumentParser):
     def _is_unknown(self, word: str) -> bool:
         """Whether a word is a long option that is none of this command, nor short for one."""
         name = word.partition("=")[0]
-        return name.startswith("--") and name != "--" and not any(it.startswith(name) for it in _option_words(self))
+        return name.startswith("--") and name != "--" and not any(word.startswith(name) for word in _option_words(self))
 
     def _unknown(self, word: str) -> str:
         name = word.partition("=")[0]

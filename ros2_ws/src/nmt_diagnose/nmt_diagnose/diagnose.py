@@ -212,7 +212,7 @@ def _diagnosed(
     findings = find(rig, observations, settings, tell, compared, memory)
     data, null = findings.data, findings.null
     tell("predicting what was held out")
-    finite = np.all([np.isfinite(it.fit.prediction.values) for it in (null, *findings.named)], axis=0)
+    finite = np.all([np.isfinite(explanation.fit.prediction.values) for explanation in (null, *findings.named)], axis=0)
     finite &= np.isfinite(findings.as_given.values) & named_tests(observations, settings.hold_out) & compared
     everything = replace(data, used=data.used | finite)
     held_out = HeldOut(data, everything, ways, null, findings.as_given.values, settings.seed)
@@ -232,7 +232,7 @@ def _diagnosed(
     if small is not None and comparison.small is not None and verdict is Verdict.NONE:
         calibration = calibration_rows(comparison.small)  # without it parameters stand in for it
     unexplained = remainder(left.observations, gap, left.after, left.rows) if reported else None
-    answer = Answered(where, ranking, calibration, gap, unexplained, small)
+    answer = ReportedGap(where, ranking, calibration, gap, unexplained, small)
     ahead = _ahead(rig, judgement, left.observations, settings)
     text, warnings, where = _sentences(judgement, answer, ahead, observations, settings)
     law = judgement.law
@@ -254,8 +254,8 @@ def _diagnosed(
         residual_map=residual_map(left.observations, left.as_given, left.before, left.after),
         residual_tests=tuple(test.to_mapping() for test in residual_tests(left.observations, left.after, left.rows)),
         candidates=(
-            *(candidate_row(it, null, data) for it in (null, *findings.named)),
-            *(candidate_row(it.found, it.beside, data, FAR_BEHIND) for it in findings.left_out),
+            *(candidate_row(explanation, null, data) for explanation in (null, *findings.named)),
+            *(candidate_row(each.found, each.model_alone, data, FAR_BEHIND) for each in findings.left_out),
         ),
         features={
             "feature:log_odds": comparison.log_odds,
@@ -284,7 +284,7 @@ def _diagnosed(
 
 
 @dataclass(frozen=True)
-class Left:
+class ModelResiduals:
     """What models leave of all rows, in standard deviations of the noise.
 
     Attributes:
@@ -300,7 +300,7 @@ class Left:
     rows: BoolArray
 
 
-def _left(judgement: Judgement, held_out: HeldOut) -> Left:
+def _left(judgement: Judgement, held_out: HeldOut) -> ModelResiduals:
     data, reported = judgement.findings.data, judgement.reported
     scale = reported.scale(judgement.verdict.gap)
     as_given, before, after = (
@@ -308,15 +308,15 @@ def _left(judgement: Judgement, held_out: HeldOut) -> Left:
         for values in (held_out.as_given, held_out.null.fit.prediction.values, reported.fit.prediction.values)
     )
     scaled = replace(data.observations, std=data.sigma / scale, floor=np.zeros_like(data.sigma))
-    return Left(scaled, as_given, before, after, held_out.everything.used)
+    return ModelResiduals(scaled, as_given, before, after, held_out.everything.used)
 
 
-def _gap(judgement: Judgement, held_out: HeldOut, left: Left) -> Gap:
+def _gap(judgement: Judgement, held_out: HeldOut, left: ModelResiduals) -> Gap:
     """The gap on data held out where those say something of it, else on all rows."""
     calibration = judgement.verdict is Verdict.CALIBRATION
     share = None if judgement.nearest is None else judgement.shares[judgement.nearest.head.explanation]
     share = held_out.recalibrated() if calibration else share
-    before, after = (rms(it[left.rows]) for it in (left.as_given if calibration else left.before, left.after))
+    before, after = (rms(item[left.rows]) for item in (left.as_given if calibration else left.before, left.after))
     closed, low, high = math.nan, math.nan, math.nan
     if share is not None:
         before = share.before if math.isfinite(share.before) else before
@@ -372,7 +372,7 @@ def _ahead(rig: Rig, judgement: Judgement, scaled: Observations, settings: Diagn
 
 
 @dataclass(frozen=True)
-class Answered:
+class ReportedGap:
     """What is reported of the gap, as numbers.
 
     Attributes:
@@ -393,7 +393,7 @@ class Answered:
 
 
 def _sentences(
-    judgement: Judgement, answer: Answered, ahead: NextSteps, observations: Observations, settings: DiagnosisSettings
+    judgement: Judgement, answer: ReportedGap, ahead: NextSteps, observations: Observations, settings: DiagnosisSettings
 ) -> tuple[tuple[str, ...], tuple[str, ...], tuple[PlaceShare, ...]]:
     """Sentences of the answer, warnings, and the places that are reported."""
     findings, verdict, leader, named = judgement.findings, judgement.verdict, judgement.leader, judgement.named
@@ -452,9 +452,11 @@ def _relieving(data: Data, best: FittedExplanation) -> tuple[str, ...]:
     only = [
         replace(best, small=frozenset(every) - {number})
         for number in sorted(best.small)
-        if number in best.beside and NEEDED(best.beside[number]).passed and not WITHIN(best.beside[number]).passed
+        if number in best.comparisons
+        and NEEDED(best.comparisons[number]).passed
+        and not WITHIN(best.comparisons[number]).passed
     ]
-    return tuple(relieving(it.explanation, parameters(data, it)) for it in only)
+    return tuple(relieving(explanation.explanation, parameters(data, explanation)) for explanation in only)
 
 
 def _learnt_scales(data: Data, found: FittedExplanation) -> dict[str, float]:

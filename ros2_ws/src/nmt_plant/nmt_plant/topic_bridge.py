@@ -64,7 +64,7 @@ class TopicBridge:
     Args:
         table: the channels.
         patience: s by which a topic may be behind the newest one.
-        beside_plant: sample indices are those of a plant, see :meth:`add_reference`.
+        with_plant: sample indices are those of a plant, see :meth:`add_reference`.
 
     Attributes:
         late: messages whose stamps do not rise; they are left out.
@@ -72,7 +72,7 @@ class TopicBridge:
         watch: says in sentences what is wrong with the messages.
     """
 
-    def __init__(self, table: BridgeTable, patience: float = 1.0, beside_plant: bool = False) -> None:
+    def __init__(self, table: BridgeTable, patience: float = 1.0, with_plant: bool = False) -> None:
         self.table = table
         self.late = 0
         self.missing = 0
@@ -84,7 +84,7 @@ class TopicBridge:
         self._rate = table.sample_rate
         self._origin: int | None = None  # ns; stamps are kept relative to it
         self._zero: float | None = None  # s after the origin of sample 0
-        self._delays: deque[float] | None = deque(maxlen=_ENVELOPE) if beside_plant else None
+        self._delays: deque[float] | None = deque(maxlen=_ENVELOPE) if with_plant else None
         self._next = 0
 
     def add(self, topic: str, message: Any, arrived_ns: int) -> None:

@@ -124,7 +124,10 @@ def read_channel_table(path: Path) -> BridgeTable:
     for number, channel in enumerate(channels):
         if kinds.setdefault(channel.topic, channel.kind) != channel.kind:
             raise BenchError(f"{document.place(('channels', number))}: topic {channel.topic} has two types.")
-        other_unit = next((it.unit for it in channels[:number] if it.quantity is channel.quantity), channel.unit)
+        other_unit = next(
+            (each_channel.unit for each_channel in channels[:number] if each_channel.quantity is channel.quantity),
+            channel.unit,
+        )
         if other_unit != channel.unit:
             raise BenchError(
                 f"{document.place(('channels', number))}: {channel.name} in {channel.unit} and channels in "

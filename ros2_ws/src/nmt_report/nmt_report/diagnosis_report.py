@@ -361,7 +361,7 @@ def remainder_table(rest: Remainder | None) -> Table | None:
     interval = f" ({interval})" if interval else ""
     note = (
         f"{left}{interval} of the gap is left. A laboratory's rig differs from its model by more than "
-        "one thing; a smooth error of some percent of what the effect does is expected."
+        "one thing; a smooth error of some percent of the effect itself is expected."
     )
     return Table(head, rows, note, "Residual")
 

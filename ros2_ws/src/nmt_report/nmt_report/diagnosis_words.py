@@ -97,7 +97,7 @@ def class_text(item: Ranked) -> str:
 
 def answers_text(answers: Sequence[Answer]) -> str:
     """The answers that together hold 95 % of the probability, in words; empty where they are not known."""
-    words = [_alternatives_text(it.effects) if it.effects else effect_text(it.kind) for it in answers]
+    words = [_alternatives_text(answer.effects) if answer.effects else effect_text(answer.kind) for answer in answers]
     return f"Answers that together hold 95 % of the probability: {'; '.join(words)}." if words else ""
 
 

@@ -84,7 +84,7 @@ def _looked_at(outcome: DiagnosisOutcome) -> list[tuple[str, str, Markup]]:
     found = outcome.diagnosis
     with figure_style():
         drawing = place_drawing(found, report.rig)
-        courses = [it for it in course_figures(report) if it.name.rsplit("-", 1)[0] in _COURSES]
+        courses = [figure for figure in course_figures(report) if figure.name.rsplit("-", 1)[0] in _COURSES]
     left = [remainder_table(found.remainder), observable_table(found.gap, found.verdict)]
     tables = Markup().join(part("table", table) for table in left if table is not None)
     words = Markup('<p>{} <a href="{}/{}">The whole diagnosis</a>.</p>').format(

@@ -48,11 +48,11 @@ def run(options: GoalOptions) -> int:
         raise BenchError(f"A ROS domain must be from 0 to 232, got {domain}.")
 
     from nmt_bench.commands.run_progress import RunProgress
-    from nmt_bench.orchestration.run_client_node import run_beside
+    from nmt_bench.orchestration.run_client_node import run_with_bench
     from nmt_core.vocabulary import ResultCode
 
     with RunProgress(rig.sample_rate_hz, len(levels)) as progress:
-        result, interrupted = run_beside(domain, options.namespace, goal, progress.update, _PATIENCE)
+        result, interrupted = run_with_bench(domain, options.namespace, goal, progress.update, _PATIENCE)
     progress.note(result.message)
     if interrupted:
         return EXIT_INTERRUPTED

@@ -217,7 +217,7 @@ class RunClient(Node):  # type: ignore[misc]
         return lines
 
 
-def run_beside(
+def run_with_bench(
     domain: int, namespace: str, goal: Mapping[str, Any], on_progress: Callable[[Progress], None], patience: float
 ) -> tuple[Any, bool]:
     """Run a goal on the nodes of a domain, which somebody else has started.

@@ -117,7 +117,9 @@ class TaskView:
             self._question = ""
             self.version += 1
             self._answered(word)
-        return ServiceAnswer(True, {"yes": "It is run", "no": "Another one is looked for", "stop": "It ends"}[word])
+        return ServiceAnswer(
+            True, {"yes": "It is run", "no": "The bench searches another one", "stop": "It ends"}[word]
+        )
 
     def _end(self, outcome: str, now: float) -> None:
         self._outcome, self._ended, self._question = outcome, now, ""

@@ -92,7 +92,7 @@ def reason_against(kind: TestKind) -> str:
 
 def voltage_runs(observations: Observations) -> list[LockedLevels]:
     """Runs of locked levels whose drive is known."""
-    return [it.locked for it in observations.tests if it.locked is not None and it.over_voltage]
+    return [test.locked for test in observations.tests if test.locked is not None and test.over_voltage]
 
 
 def rig_of(request: TestRequest, rig: Rig) -> Rig:
@@ -216,7 +216,9 @@ def _windows(request: TestRequest, rig: Rig, at_hand: Observations, levels: tupl
     channels, point = channels_of(request, rig, at_hand), drive_point_of(request, rig, at_hand)
     ideal = MeasuredChannel(f"x{point}", Quantity.DISPLACEMENT, point)
     response = next((c for c in channels if c.quantity in MOTIONS and c.point == point), ideal)
-    harmonics = max((it.locked.harmonics for it in at_hand.tests if it.locked is not None), default=_READ.harmonics)
+    harmonics = max(
+        (test.locked.harmonics for test in at_hand.tests if test.locked is not None), default=_READ.harmonics
+    )
     table = RowTable()
     sizes = sorted({level.drive for level in levels})
     for level in levels:

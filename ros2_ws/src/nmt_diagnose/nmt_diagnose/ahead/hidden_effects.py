@@ -51,7 +51,7 @@ class Hidden:
         left = max(0.0, self.probability - self.next) / (1.0 - self.next)
         return max(0.0, _entropy(self.probability) - (1.0 - self.next) * _entropy(left))
 
-    def beside(self, other: Hidden) -> Hidden:
+    def combined_with(self, other: Hidden) -> Hidden:
         """What is hidden for one of two reasons that have nothing to do with each other."""
         return Hidden(
             1.0 - (1.0 - self.probability) * (1.0 - other.probability), 1.0 - (1.0 - self.next) * (1.0 - other.next)

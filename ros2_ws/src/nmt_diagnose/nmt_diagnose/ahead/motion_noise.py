@@ -37,7 +37,7 @@ def noise_over_motion(left: Observations, at_hand: Observations, found: FittedEx
         return left
     fundamental = (at_hand.rows.part == Part.LOG_MAGNITUDE) & (at_hand.rows.harmonic == 1)
     fundamental &= np.isin(at_hand.rows.test, runs) & np.isfinite(at_hand.values)
-    names = [tuple(c.name for c in it.channels) for it in at_hand.tests]
+    names = [tuple(c.name for c in test.channels) for test in at_hand.tests]
     for number, channel in enumerate(test.channels):
         same = np.array([
             k >= 0 and names[t][k] == channel.name for t, k in zip(at_hand.rows.test, at_hand.rows.channel, strict=True)

@@ -59,13 +59,13 @@ class _Rivals:
         fits = competing(comparison, null)
         if len(fits) < 2:
             return None
-        names = tuple(joined(it.effects) or NULL for it in fits)
-        p = tuple(comparison.by_label.get(it.explanation.label, 0.0) for it in fits)
+        names = tuple(joined(explanation.effects) or NULL for explanation in fits)
+        p = tuple(comparison.by_label.get(explanation.explanation.label, 0.0) for explanation in fits)
         return cls(fits, names, p, at_hand, chain_names)
 
     def apart(self, left: Observations, moved: Rig | None = None) -> Apart:
         """How far a test sets them apart; on another rig than the model where one is given."""
-        fits = self.fits if moved is None else [_on_other_rig(it, moved) for it in self.fits]
+        fits = self.fits if moved is None else [_on_other_rig(explanation, moved) for explanation in self.fits]
         return Apart(noise_over_motion(left, self.at_hand, fits[0]), fits, self.chain_names)
 
     def information(self, of_first: float) -> float:
@@ -212,9 +212,9 @@ def _hidden(
     of_next = left.rows.level < count
     hidden = hidden_effects(search, null, scores(), alone, of_next)
     if growth is not None and small is not None:
-        beside = Hidden(growth.matters(left.rows.level >= 0), growth.matters(of_next))
-        grows = joined(small.fitted.effects) if beside.probability > hidden.probability else ""
-        hidden = hidden.beside(beside)
+        growing = Hidden(growth.matters(left.rows.level >= 0), growth.matters(of_next))
+        grows = joined(small.fitted.effects) if growing.probability > hidden.probability else ""
+        hidden = hidden.combined_with(growing)
     return hidden, count, grows
 
 
@@ -258,7 +258,12 @@ def _placements(rig: Rig, rivals: _Rivals, sensed: set[int]) -> Iterator[tuple[s
     for point in rig.structure.points:
         text = f"a second sensor at point {point}" if point in sensed else f"a sensor at point {point}"
         yield text, PlacedSensor("displacement", point)
-    named = {location.channel for it in rivals.fits for location in it.explanation.locations if location.channel}
+    named = {
+        location.channel
+        for explanation in rivals.fits
+        for location in explanation.explanation.locations
+        if location.channel
+    }
     for sensor in rig.sensors:
         channel = rig.sensor_channel(sensor)
         if channel not in named or sensor.quantity not in RESPONSES:

@@ -100,7 +100,7 @@ class Proposals:
         """
         found = [self._random(), *(self._levels(with_plan) if self.runs else ())]
         found += self._other_kinds() if further and self.runs else []
-        return [it for it in found if it is not None]
+        return [proposal for proposal in found if proposal is not None]
 
     def proposal(self, text: str, request: TestRequest, seconds: float) -> Proposal | None:
         """A test with its rows; None where the rig cannot be tested so, or what it would show is not foretold."""

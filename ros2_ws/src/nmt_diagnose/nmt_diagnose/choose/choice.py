@@ -551,12 +551,12 @@ class _Sets:
             inner = values.T @ values
             size = np.sqrt(np.maximum(inner.diagonal() / self._rows, 1e-300))
             across = (weight / size)[:, None] * (values.T @ every)
-            beside = dtrtrs(lower, across[:, free].T, lower=1)[0]
+            coupling = dtrtrs(lower, across[:, free].T, lower=1)[0]
             matrix = np.empty((count + len(size), count + len(size)))
             matrix[:count, :count] = fixed[:-1, :-1]
-            matrix[count:, count:] = (weight / np.multiply.outer(size, size)) * inner - beside.T @ beside
+            matrix[count:, count:] = (weight / np.multiply.outer(size, size)) * inner - coupling.T @ coupling
             matrix.flat[:: len(matrix) + 1] += _RIDGE * weight * self._rows
-            cross = across[:, bound] - beside.T @ half
+            cross = across[:, bound] - coupling.T @ half
             matrix[count:, :count], matrix[:count, count:] = cross[:, :-1], cross[:, :-1].T
             right = np.append(fixed[:-1, -1], cross[:, -1])
             signs = np.ones(len(size), bool) if column.signed is None else column.signed

@@ -70,7 +70,7 @@ def _contact_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
     )
 
 
-def _beside(sites: Sites) -> Sites:
+def _with_free_slip(sites: Sites) -> Sites:
     """The same places, with a slip force for the strength and a slip displacement that is free over decades."""
 
     def free(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
@@ -116,7 +116,7 @@ def _friction(
 
     The latter is for a contact that may slip and that a model without friction takes for a spring.
     """
-    beside = Effect(
+    added = Effect(
         name=name,
         place=place,
         equation=equation,
@@ -126,14 +126,14 @@ def _friction(
             EffectParameter("slip_force", "N"),
             EffectParameter("slip_displacement", "m", "shape", grid=FREE_SLIP_GRID, std=FREE_SLIP_STD),
         ),
-        sites=_beside(sites),
+        sites=_with_free_slip(sites),
         change=lambda rig, site, values: _with_friction(rig, site, _stiffness_of(values)),
         report=lambda site, values: {
             "kt": (_stiffness_of(values)["kt"], "N/m"), "slip_force": (values["slip_force"], "N"),
         },
     )  # fmt: skip
     stuck = replace(
-        beside,
+        added,
         parameters=(
             EffectParameter("kt", "N/m"),
             EffectParameter("slip_displacement", "m", "shape", grid=SLIP_GRID),
@@ -147,7 +147,7 @@ def _friction(
         change=lambda rig, site, values: _taken(_with_friction(rig, site, values), site, values),
         form="stuck in the model",
     )  # fmt: skip
-    return beside, stuck
+    return added, stuck
 
 
 def joint_location(element: ElementSection, nameless: str) -> Location:

@@ -22,9 +22,9 @@ class StartName(StrEnum):
 
     GIVEN = "model as given"
     MODES = "measured modes"
-    BELIEVED = "model as given where nobody believes its parameters"
+    BELIEVED = "model as given where its parameters are implausible"
     SCORE = "score test"
-    BESIDE = "small effect of the best"
+    SMALL = "small effect of the best"
     ELSEWHERE = "same effect at another place"
     LEADER = "model's parameters of the best"
     ALONE = "two effects without the weaker one"

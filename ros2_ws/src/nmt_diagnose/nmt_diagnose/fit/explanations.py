@@ -26,13 +26,13 @@ class FittedExplanation:
         candidates: its effects at their places; none for the model alone.
         fit: the fit.
         small: numbers of those candidates without which the residual would not matter: they are not reported.
-        beside: what candidates do compared with simpler explanations, as rules ask for it, by number.
+        comparisons: what candidates do compared with simpler explanations, as rules ask for it, by number.
     """
 
     candidates: tuple[Candidate, ...]
     fit: FitResult
     small: frozenset[int] = frozenset()
-    beside: Mapping[int, Facts] = field(default_factory=dict)
+    comparisons: Mapping[int, Facts] = field(default_factory=dict)
 
     @cached_property
     def fitted(self) -> Explanation:
@@ -90,13 +90,13 @@ class LeftOut:
 
     Attributes:
         found: the explanation.
-        beside: the model alone, fitted to the same data.
+        model_alone: the model alone, fitted to the same data.
         behind: ln evidence that it lies behind the best.
         behind_most: that the last one lies behind that competes, where as many compete as may; else infinite.
     """
 
     found: FittedExplanation
-    beside: FittedExplanation
+    model_alone: FittedExplanation
     behind: float
     behind_most: float = math.inf
 

@@ -650,7 +650,9 @@ def _natural_size(observations: Observations) -> FloatArray:
     part, values = observations.rows.part, observations.values
     size = np.ones(len(observations.rows))
     size[part == Part.LOG_FREQUENCY] = _LARGE_LOG_FREQUENCY
-    of_value, of_rms, none = (np.isin(part, with_natural(it)) for it in (Natural.VALUE, Natural.RMS, Natural.NONE))
+    of_value, of_rms, none = (
+        np.isin(part, with_natural(natural)) for natural in (Natural.VALUE, Natural.RMS, Natural.NONE)
+    )
     size[of_value], size[none] = np.abs(values[of_value]), 0.0
     if of_rms.any():
         size[of_rms] = float(np.sqrt(np.mean(values[of_rms] ** 2)))

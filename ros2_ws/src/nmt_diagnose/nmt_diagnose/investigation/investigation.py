@@ -157,7 +157,9 @@ class Investigation:
 
     def _seconds_of_levels(self, count: int) -> float:
         """Bench time of so many levels as those before took it; NaN before any."""
-        times = [(it.seconds, max(1, len(it.request.levels))) for it in self.record.measured if not it.is_random]
+        times = [
+            (test.seconds, max(1, len(test.request.levels))) for test in self.record.measured if not test.is_random
+        ]
         return count * sum(s for s, _ in times) / max(1, sum(n for _, n in times)) if times else math.nan
 
     def _complete(self, request: TestRequest) -> TestRequest:
@@ -231,9 +233,9 @@ class Investigation:
         assert self.diagnosis is not None
         fixed = self.settings.fixed_exciter
         return [
-            it
-            for it in self.diagnosis.next_test
-            if it.command and it.request is not None and not (fixed and it.request.exciters)
+            test
+            for test in self.diagnosis.next_test
+            if test.command and test.request is not None and not (fixed and test.request.exciters)
         ]
 
     def _asked(self, item: NextTest) -> AskedTest:
@@ -358,7 +360,7 @@ class Investigation:
         else:
             first = found.ranking[0]
             least = THRESHOLDS.next_test.second_class_share * first.probability
-            second = [it.effect for it in found.ranking[1:2] if it.probability > least]
+            second = [row.effect for row in found.ranking[1:2] if row.probability > least]
             rivals = dict.fromkeys((first.effect, *first.equivalents, *second))
             apart = " or ".join(effect_words(name) for name in rivals)
             self._end(

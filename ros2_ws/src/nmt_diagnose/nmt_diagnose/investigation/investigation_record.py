@@ -153,7 +153,7 @@ class InvestigationRecord:
 
     def with_test(self, test: AskedTest) -> InvestigationRecord:
         """The record with a test added, or in place of the one with its name."""
-        others = [it for it in self.tests if it.name != test.name]
+        others = [each_test for each_test in self.tests if each_test.name != test.name]
         position = next((k for k, it in enumerate(self.tests) if it.name == test.name), len(others))
         return replace(self, tests=(*others[:position], test, *others[position:]))
 

@@ -83,7 +83,7 @@ def _along_its_motion(search: RecordSearch, law: RecordLaw) -> RecordSearch:
             break
         records: RespondingRecords = search.records  # type: ignore[assignment]
         forces = [np.sum([c * record.force(term) for term, c in law.terms], axis=0) for record in records.records]
-        again = RecordSearch(records.beside(forces))
+        again = RecordSearch(records.with_forces(forces))
         other = again.moved(law.blocks)
         if not other.score < law.score:
             break

@@ -105,8 +105,8 @@ class LawRows:
         missing = np.linalg.norm(self.measured[:, :count], axis=1)[:, np.newaxis]
         drive = np.hypot(drive, limits.transfer_std * missing)
         q = first @ self.take_q.T
-        beside = first - q @ self.shapes.T
-        changed = np.abs(beside - q[:, :1] * (beside[0] / q[0, 0]))
+        unexplained = first - q @ self.shapes.T
+        changed = np.abs(unexplained - q[:, :1] * (unexplained[0] / q[0, 0]))
         repeats = np.hypot(std[:, :, 1], limits.shape_share * size[:, :, 1])
         q_std = np.sqrt(repeats**2 @ (self.take_q**2).T)
         residual = np.hypot(drive, np.abs(self.near) * q_std)

@@ -160,7 +160,7 @@ class LawSearch:
             # A set is grown by one variant of each cause.
             parts = self._parts(Choice(space).fitted([variants[key] for key in keys]))
             law = self._candidate(parts, tuple(motions[place] for place, _ in parts), problem)
-            finalists.append(self.again(law))
+            finalists.append(self.refit(law))
         return sorted((law for law in finalists if law.elements), key=lambda law: law.score)
 
     def _space(self, problem: ConvexFit, independent: float) -> Space:
@@ -210,7 +210,7 @@ class LawSearch:
             result.append((place.participation, harmonics(total)))
         return result
 
-    def again(self, candidate: LawCandidate, refined: bool = True) -> LawCandidate:
+    def refit(self, candidate: LawCandidate, refined: bool = True) -> LawCandidate:
         """A law read along the motion that it makes, its parameters refined."""
         best = candidate
         for turn in range(MOTION_ROUNDS):
@@ -241,7 +241,7 @@ class LawSearch:
             UnboundedMotionError: see :meth:`problem`.
         """
         motions = tuple(self.motion(place, []) for place, _ in parts)
-        return self.again(self._candidate(parts, motions, self.basis), refined=False)
+        return self.refit(self._candidate(parts, motions, self.basis), refined=False)
 
     def _moved(self, candidate: LawCandidate, number: int, forces: Forces) -> ComplexArray:
         """Motion of a place under the forces of a law, its mean by a step of Newton's method.

@@ -222,15 +222,15 @@ class KnownForces:
             self.stiffness[where] += element.linear_stiffness
             self.damping[where] += element.linear_damping
 
-    def of(self, motion: ComplexArray, omega: FloatArray, beside: KnownForces | None = None) -> ComplexArray:
+    def of(self, motion: ComplexArray, omega: FloatArray, linearised: KnownForces | None = None) -> ComplexArray:
         """Harmonics of the forces less the linear ones of the elements at rest, N, (r, L, ORDERS + 1).
 
         Args:
             motion: harmonics at the elements' coordinates, m, (r, L, ORDERS + 1).
             omega: rad/s, (L,).
-            beside: elements whose linear part is subtracted; None = these themselves.
+            linearised: elements whose linear part is subtracted; None = these themselves.
         """
-        linear = beside or self
+        linear = linearised or self
         result = np.zeros(motion.shape, complex)
         orders = np.arange(ORDERS + 1)
         for k, w in enumerate(omega):

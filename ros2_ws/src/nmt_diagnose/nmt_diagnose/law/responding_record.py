@@ -531,7 +531,7 @@ class RespondingRecords(SampledRecords[RespondingRecord]):
         record = self.records[0]
         return record.basis.plant.places[record.place]
 
-    def beside(self, forces: Sequence[FloatArray]) -> RespondingRecords:
+    def with_forces(self, forces: Sequence[FloatArray]) -> RespondingRecords:
         """The records with the motion of the place under the forces of a law that was read there, N, one a record."""
         found = [
             RespondingRecord.of(record.basis, record.place, len(record.parts), force)

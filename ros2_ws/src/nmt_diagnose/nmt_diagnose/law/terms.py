@@ -27,7 +27,7 @@ _ALONG = np.ones(1)
 _POWERS = {ord(raised): f"^{plain}" for plain, raised in enumerate("⁰¹²³⁴⁵⁶⁷⁸⁹")}
 
 # Terms that are combined with those of elements and that no element has.
-_BESIDE = (
+_SECOND_FORMS = (
     LawForm(
         "gap damping", "gap", "damper where |x| > {mm} mm", words="clearance", unit="N s/m",
         force=lambda x, v, gap, _: np.where(np.abs(x) > gap, v, 0.0), unwritten="damping in contact",
@@ -52,7 +52,7 @@ OF_RECORDS: tuple[tuple[LawForm, type[ElementSection]], ...] = (
 )
 _OF_ELEMENTS = [(form, section) for section in SECTIONS for form in section.law]
 _FORMS: tuple[tuple[LawForm, type[ElementSection] | None], ...] = (
-    *((form, None) for form in _BESIDE),
+    *((form, None) for form in _SECOND_FORMS),
     *OF_RECORDS,
     *_OF_ELEMENTS,
 )

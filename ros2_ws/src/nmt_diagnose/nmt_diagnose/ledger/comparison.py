@@ -93,8 +93,10 @@ class EquivalentClass:
         named = share is not None and math.isfinite(share.value)
         return Facts(
             worse=-share.gain if share is not None and share.value < 0.0 else math.nan,
-            left=max((it.over for it in self.objections if it.kind), default=0.0),
-            pull=max((it.size for it in self.objections if it.group and not it.kind), default=0.0),
+            left=max((objection.over for objection in self.objections if objection.kind), default=0.0),
+            pull=max(
+                (objection.size for objection in self.objections if objection.group and not objection.kind), default=0.0
+            ),
             parameters=len(self.head.fit.parametrisation.calibration),
             laws=laws(self.head) if IMITATION in self.objections else 1,
             probability=self.probability,
@@ -134,7 +136,7 @@ class Comparison:
         """Classes whose predictions of held-out rows are judged: the first, and one effect of two that lead."""
         count = THRESHOLDS.verdict.judged_explanations
         first = set(self.classes[0].head.explanation.causes) if self.classes else set()
-        parts = (it for it in self.classes[count:] if set(it.head.explanation.causes) < first)
+        parts = (equivalent for equivalent in self.classes[count:] if set(equivalent.head.explanation.causes) < first)
         return (*self.classes[:count], *parts)
 
 
@@ -151,24 +153,32 @@ def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedS
     if not comparison.classes or comparison.classes[0].adequate:
         return comparison
     leader = comparison.classes[0]
-    value = {id(it): shares[it.head.explanation].value for it in comparison.classes if it.head.explanation in shares}
+    value = {
+        id(equivalent): shares[equivalent.head.explanation].value
+        for equivalent in comparison.classes
+        if equivalent.head.explanation in shares
+    }
     least = THRESHOLDS.verdict.partial_closed_share
     of_two = value.get(id(leader), math.nan)
     if of_two < THRESHOLDS.verdict.partial_closed_share_of_two:
         least *= of_two  # nothing is named for certain: what comes nearest is the one that does most of it
     causes = set(leader.head.explanation.causes)
     alone = [
-        it
-        for it in comparison.classes[1:]
-        if set(it.head.explanation.causes) < causes
-        and value.get(id(it), -math.inf) >= (least if it.objections else of_two - _AS_MUCH)
+        equivalent
+        for equivalent in comparison.classes[1:]
+        if set(equivalent.head.explanation.causes) < causes
+        and value.get(id(equivalent), -math.inf) >= (least if equivalent.objections else of_two - _AS_MUCH)
     ]
     if not alone:
         return comparison
     single = max(alone, key=lambda it: value[id(it)])
     causes = set(single.head.explanation.causes)
-    acts = sum(it.given_library for it in comparison.classes if causes <= set(it.head.explanation.causes))
-    others = (it for it in comparison.classes if it is not single)
+    acts = sum(
+        equivalent.given_library
+        for equivalent in comparison.classes
+        if causes <= set(equivalent.head.explanation.causes)
+    )
+    others = (equivalent for equivalent in comparison.classes if equivalent is not single)
     if single.objections:
         return replace(comparison, classes=(replace(single, given_library=acts), *others))
     # It leaves nothing that matters and closes as much: the second effect is not a part of the answer.
@@ -380,11 +390,15 @@ class Hypotheses:
 
         The evidence has to demand each of its effects. A simpler explanation with nearly the same evidence replaces it.
         """
-        unstated = [it for it in self.named if not it.stated]
+        unstated = [explanation for explanation in self.named if not explanation.stated]
         found = max(unstated, key=self._evidence, default=None)
         if found is None or self._evidence(found) - self._evidence(self.null) <= self._visible_rise(found):
             return None
-        while fewer := [it for it in unstated if it.candidates and set(it.fitted.causes) < set(found.fitted.causes)]:
+        while fewer := [
+            explanation
+            for explanation in unstated
+            if explanation.candidates and set(explanation.fitted.causes) < set(found.fitted.causes)
+        ]:
             simpler = max(fewer, key=self._evidence)
             if self._evidence(found) - self._evidence(simpler) >= THRESHOLDS.verdict.sure_log_evidence:
                 break
@@ -413,7 +427,7 @@ class Hypotheses:
         stated = self.stated
         named = [self._weight(explanation) - zero for explanation in stated]
         # With effects that are not needed an explanation says the same as the model alone.
-        alike = [none, *(self._weight(it) - zero for it in self.named if not it.stated)]
+        alike = [none, *(self._weight(explanation) - zero for explanation in self.named if not explanation.stated)]
         none = float(np.logaddexp.reduce(alike))
         alone = [
             math.log(THRESHOLDS.comparison.prior_unnamed / max(1, len(self.alone))) + source.gain
@@ -445,10 +459,10 @@ class Hypotheses:
             # Both are missing then, each as far as it explains the recordings.
             assert best is not None
             explained = max(self.null.fit.cost - best.fit.cost, 0.0)
-            beside = float(p) * source.explained / max(source.explained + explained, 1e-300)
-            by_place[source.location] = by_place.get(source.location, 0.0) + beside
+            unnamed = float(p) * source.explained / max(source.explained + explained, 1e-300)
+            by_place[source.location] = by_place.get(source.location, 0.0) + unnamed
             for location, share in _shares(best):
-                by_place[location] = by_place.get(location, 0.0) + (float(p) - beside) * share
+                by_place[location] = by_place.get(location, 0.0) + (float(p) - unnamed) * share
         total = sum(by_place.values())
         # A residual beyond noise shows an unnamed cause. Without further evidence it is placed with the named one.
         noise = np.exp([self._left(explanation) for explanation in stated])
@@ -487,7 +501,10 @@ class Hypotheses:
                     best[found.explanation] = found
         leader = max(best.values(), key=self._weight)
         weights = leader.fit.errors.weights
-        excess = {it.explanation: misfit(it, weights) - misfit(leader, weights) for it in best.values()}
+        excess = {
+            explanation.explanation: misfit(explanation, weights) - misfit(leader, weights)
+            for explanation in best.values()
+        }
         for found, more in self.far:
             if found.effects == effects and found.explanation not in excess:
                 best[found.explanation], excess[found.explanation] = found, more
@@ -514,7 +531,11 @@ class Hypotheses:
         ((found, _),) = placed
         result = []
         for cause, (location, share) in zip(found.explanation.causes, _shares(found), strict=True):
-            alone = self._placed((cause.effect,)) if any(it.effects == (cause.effect,) for it in self.stated) else []
+            alone = (
+                self._placed((cause.effect,))
+                if any(explanation.effects == (cause.effect,) for explanation in self.stated)
+                else []
+            )
             places = [(it.explanation.locations[0], p) for it, p in alone]
             if location not in [place for place, _ in places]:
                 places = [(location, 1.0)]
@@ -558,7 +579,13 @@ class Hypotheses:
     def _head(self, same: Sequence[FittedExplanation]) -> FittedExplanation:
         """The most probable of explanations by the same effects; without small effects where that leaves nothing."""
         first = same[0]
-        plain = [it for it in same if it.explanation == first.explanation and not it.small and not self.objections(it)]
+        plain = [
+            explanation
+            for explanation in same
+            if explanation.explanation == first.explanation
+            and not explanation.small
+            and not self.objections(explanation)
+        ]
         return plain[0] if first.small and plain else first
 
     def _alike(self, one: FittedExplanation, other: FittedExplanation) -> bool:

@@ -43,7 +43,7 @@ def credible_answers(
                 add(label, (), p)
                 continue
             names = _sorted(label)
-            add("effect", next((it for it in classes if names in it), (names,)), p)
+            add("effect", next((equivalent for equivalent in classes if names in equivalent), (names,)), p)
     answers, total = [], 0.0
     for (kind, effects), p in sorted(found.items(), key=lambda item: -item[1]):
         if total >= THRESHOLDS.comparison.credible_probability:

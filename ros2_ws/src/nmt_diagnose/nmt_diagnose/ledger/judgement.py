@@ -133,7 +133,7 @@ def judged(findings: Findings, held_out: HeldOut, settings: DiagnosisSettings) -
         settings: of the diagnosis.
     """
     comparison = findings.comparison
-    shares = {it.head.explanation: held_out.closed(it.head) for it in comparison.to_judge()}
+    shares = {equivalent.head.explanation: held_out.closed(equivalent.head) for equivalent in comparison.to_judge()}
     comparison = by_plain_effect(comparison, shares)
     leader = comparison.classes[0] if comparison.classes else None
     share = None if leader is None else shares[leader.head.explanation]
@@ -148,11 +148,11 @@ def judged(findings: Findings, held_out: HeldOut, settings: DiagnosisSettings) -
             law = replace(law, closed_by_file=by_law.value)
             findings = replace(findings, law=law)
             if verdict is Verdict.EFFECT and leader is not None and share is not None:
-                verdict = _beside_law(law, by_law, leader, share)
+                verdict = _effect_and_law(law, by_law, leader, share)
     return Judgement(findings, comparison, shares, alone, verdict)
 
 
-def _beside_law(law: LawReading, by_law: ClosedShare, leader: EquivalentClass, share: ClosedShare) -> Verdict:
+def _effect_and_law(law: LawReading, by_law: ClosedShare, leader: EquivalentClass, share: ClosedShare) -> Verdict:
     """The verdict on what would explain the whole: nothing in the library does where a law closes certainly more.
 
     A law that is that effect and nothing else says the same.

@@ -66,7 +66,7 @@ def _facts(judgement: Judgement, found: FittedExplanation) -> Facts:
     wanted = data.observations.matters
     share = judgement.shares.get(found.explanation)
     rival = max(comparison.unknown, comparison.none)
-    group = next((it for it in comparison.classes if it.head is found), None)
+    group = next((equivalent for equivalent in comparison.classes if equivalent.head is found), None)
     if group is None or group is not leader:
         ahead = leader.probability if leader is not None else 0.0
         if leader is not None and any(member is found for member in leader.members):
@@ -89,7 +89,7 @@ def _facts(judgement: Judgement, found: FittedExplanation) -> Facts:
 
 
 def _of_effect(found: FittedExplanation, number: int) -> tuple[Ruling, ...]:
-    facts = found.beside.get(number)
+    facts = found.comparisons.get(number)
     return () if facts is None else tuple(rule(facts) for rule in OF_EFFECTS)
 
 
@@ -104,7 +104,10 @@ def _made(judgement: Judgement, found: FittedExplanation, rulings: tuple[Ruling,
     difference = data.forward.difference(fitted.errors.values, null.fit.errors.values)
     size = change_size(data, difference)
     wanted = data.observations.matters
-    heads = [null, *(it.head for it in judgement.comparison.classes[: THRESHOLDS.verdict.judged_explanations])]
+    heads = [
+        null,
+        *(equivalent.head for equivalent in judgement.comparison.classes[: THRESHOLDS.verdict.judged_explanations]),
+    ]
     share = judgement.shares.get(found.explanation) if found.stated else None
     label = found.explanation.label if found.stated else found.fitted.label
     p = judgement.comparison.by_label.get(label if found.candidates else "none", 0.0)

@@ -80,7 +80,7 @@ NEEDED = Rule(
     "needed",
     "Without it more is left than noise that matters, or the evidence demands it, or model and measuring chain are "
     "further from their priors.",
-    "of what counts",
+    "of the limit",
     lambda facts: facts.left_without,
     lambda facts: 1.0,
 )
@@ -88,14 +88,14 @@ WITHIN = Rule(
     "within",
     "What only brings model and measuring chain back to their priors: rows leave what matters without it "
     "where they stay there, or it is of a sensor.",
-    "of what matters",
+    "of the limit (--matters)",
     lambda facts: facts.left_within,
     lambda facts: 1.0,
 )
 MATTERS = Rule(
     "matters",
     "It changes the predictions by what matters.",
-    "of what matters",
+    "of the limit (--matters)",
     lambda facts: facts.change,
     lambda facts: 1.0,
 )
@@ -125,7 +125,7 @@ PREDICTS = Rule(
 LEFT = Rule(
     "left",
     "What it leaves is noise, or smaller than what matters.",
-    "of what matters",
+    "of the limit (--matters)",
     lambda facts: facts.left,
     lambda facts: 1.0,
     operator.lt,
@@ -148,14 +148,14 @@ SINGLE = Rule(
 )
 LIKELY = Rule(
     "likely",
-    "It is more probable than every other answer; as a part of what acts, nearly certain among the library.",
+    "It is more probable than every other answer; as a partial cause, nearly certain among the library.",
     "1",
     lambda facts: facts.among_library if facts.part else facts.probability,
     lambda facts: THRESHOLDS.verdict.cause_probability if facts.part else facts.rival,
 )
 CLOSES = Rule(
     "closes",
-    "As a part of what acts it closes most of the gap on data held out, two effects nearly all of it.",
+    "As a partial cause it closes most of the gap on data held out, two effects nearly all of it.",
     "1",
     lambda facts: facts.closed,
     _least_closed,

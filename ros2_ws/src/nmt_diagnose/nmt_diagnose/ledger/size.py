@@ -251,14 +251,14 @@ def needed(
     small |= {number for number, of_effect in facts.items() if not NEEDED(of_effect).passed}
     parts = [less for less in simpler if set(less.fitted.causes) < causes]
     for less in sorted(parts, key=lambda part: (len(part.candidates), -part.fit.log_evidence)):
-        beside = beside_simpler(data, found, less, wanted, own_chain)
+        comparison = compared_with_simpler(data, found, less, wanted, own_chain)
         added = {k for k, candidate in enumerate(found.candidates) if candidate.cause not in less.fitted.causes}
-        if not pass_all(OF_EFFECTS, beside):
+        if not pass_all(OF_EFFECTS, comparison):
             small |= added
-            facts |= dict.fromkeys(added, beside)
+            facts |= dict.fromkeys(added, comparison)
             break
-        facts |= dict.fromkeys(added - facts.keys(), beside)
-    return replace(found, small=frozenset(small), beside=facts)
+        facts |= dict.fromkeys(added - facts.keys(), comparison)
+    return replace(found, small=frozenset(small), comparisons=facts)
 
 
 def _beyond_ordinary(data: Data, found: FittedExplanation) -> dict[int, Facts]:
@@ -274,7 +274,7 @@ def _beyond_ordinary(data: Data, found: FittedExplanation) -> dict[int, Facts]:
     return result
 
 
-def beside_simpler(
+def compared_with_simpler(
     data: Data,
     more: FittedExplanation,
     less: FittedExplanation,
@@ -322,7 +322,7 @@ def is_demanded(found: FittedExplanation, null: FittedExplanation) -> bool:
         same_motion(rig, found.fit.parametrisation.rig(without_strength(found, (number,)))) for number in sensors
     ):
         return False
-    needs = (found.beside.get(number, Facts(left_without=0.0)) for number in range(len(found.candidates)))
+    needs = (found.comparisons.get(number, Facts(left_without=0.0)) for number in range(len(found.candidates)))
     surely = found.fit.log_evidence - null.fit.log_evidence >= THRESHOLDS.verdict.sure_log_evidence
     return surely and all(pass_all((NEEDED, WITHIN), facts) for facts in needs)
 

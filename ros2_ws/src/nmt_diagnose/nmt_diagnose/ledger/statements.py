@@ -227,8 +227,18 @@ STATEMENTS = (
 def statements_table() -> str:
     """The statements as a table in Markdown."""
     lines = ["| statement | says | has to hold | else | check | test |", "|---|---|---|---|---|---|"]
-    for it in STATEMENTS:
-        check = f"`{it.function.partition(':')[2]}` in `{it.function.partition(':')[0]}`" if it.function else "none yet"
-        test = f"`{it.test.partition('::')[2]}` in `{it.test.partition('::')[0]}`" if it.test else "none yet"
-        lines.append(f"| {it.name} | {it.says} | {it.check} | {it.otherwise} | {check} | {test} |")
+    for statement in STATEMENTS:
+        check = (
+            f"`{statement.function.partition(':')[2]}` in `{statement.function.partition(':')[0]}`"
+            if statement.function
+            else "none yet"
+        )
+        test = (
+            f"`{statement.test.partition('::')[2]}` in `{statement.test.partition('::')[0]}`"
+            if statement.test
+            else "none yet"
+        )
+        lines.append(
+            f"| {statement.name} | {statement.says} | {statement.check} | {statement.otherwise} | {check} | {test} |"
+        )
     return "\n".join(lines)

@@ -97,7 +97,7 @@ def frequencies_alone(observations: Observations) -> tuple[str, ...]:
     parts = observations.rows.part
     if parts.size == 0 or np.any(parts != Part.LOG_FREQUENCY):
         return ()
-    return ("Only frequencies were compared: of damping, and of what drives or brakes, these tests tell nothing.",)
+    return ("Only frequencies were compared: these tests tell nothing about damping, drive or friction.",)
 
 
 def beyond_physical_limits(found: FittedExplanation) -> dict[tuple[int, str], float]:

@@ -33,15 +33,15 @@ def why(ledger: Mapping[str, Any], word: str) -> tuple[str, ...]:
     wanted = _causes(word)
     for row in sorted(rows, key=lambda row: not row["stated"]):
         if _causes(row["label"]) == wanted:
-            return (*_decision(row), *_row(row), *_beside(rows, wanted))
+            return (*_decision(row), *_row(row), *_combined(rows, wanted))
     for promise in promises:
         if _causes(promise["label"]) == wanted:
-            return (*_promise(promise), *_beside(rows, wanted))
-    known = [it["label"] for it in (*rows, *promises)]
+            return (*_promise(promise), *_combined(rows, wanted))
+    known = [row["label"] for row in (*rows, *promises)]
     name = " + ".join(sorted(wanted))
     near = difflib.get_close_matches(name, known, _NEAREST, 0.0)
-    if any(it.split("@")[0] == name.split("@")[0] for it in known):
-        places = [it for it in known if it.split("@")[0] == name.split("@")[0] and " + " not in it]
+    if any(label.split("@")[0] == name.split("@")[0] for label in known):
+        places = [label for label in known if label.split("@")[0] == name.split("@")[0] and " + " not in label]
         near = places[:_NEAREST] or near
     raise BenchError(f"Nothing called {name} was looked at; the nearest are {', '.join(near) or 'none'}.")
 
@@ -58,9 +58,9 @@ def _causes(label: str) -> frozenset[str]:
 def _decision(row: Mapping[str, Any]) -> list[str]:
     if row["stated"]:
         return [f"{row['label']}: stated"]
-    for_effects = [it for rulings in row["effects"].values() for it in rulings]
-    asked = [it for it in (*for_effects, *row["rulings"]) if it["rule"] == row["failed"]]
-    failed = [it for it in asked if not it["passed"]] or asked
+    for_effects = [ruling for rulings in row["effects"].values() for ruling in rulings]
+    asked = [ruling for ruling in (*for_effects, *row["rulings"]) if ruling["rule"] == row["failed"]]
+    failed = [ruling for ruling in asked if not ruling["passed"]] or asked
     if not failed:
         return [f"{row['label']}: not stated: rule {row['failed']}", f"  {rule_named(row['failed']).sentence}"]
     return [f"{row['label']}: not stated: {_ruling(failed[0])}", f"  {_sentence(failed[0])}"]
@@ -101,13 +101,16 @@ def _row(row: Mapping[str, Any]) -> Iterable[str]:
     if row["start"]:
         yield _line("start", row["start"])
     largest = sorted(row["left"], key=lambda it: -it["share"])
-    left = [f"{it['group']} {significant(it['rms'], 3)} σ ({percent(it['share'], 0)})" for it in largest[:_GROUPS]]
+    left = [
+        f"{group['group']} {significant(group['rms'], 3)} σ ({percent(group['share'], 0)})"
+        for group in largest[:_GROUPS]
+    ]
     yield _line("leaves", ", ".join(left) + _more(largest))
     asked = sorted(row["parameters"].items(), key=lambda it: -abs(it[1]))
     yield _line("asks of the model", _sigmas(asked) or "nothing")
     yield _line("of the chain", _sigmas(list(row["chain"].items())) or "nothing beyond 1 σ")
     changes = ", ".join(f"{kind} {significant(value, 3)}" for kind, value in row["change"].items())
-    yield _line("changes", f"{changes} of what matters" if changes else "nothing that has a size")
+    yield _line("changes", f"{changes} of the limit that matters" if changes else "nothing that has a size")
     yield _line("differs", ", ".join(f"{_number(sigmas)} σ from {name}" for name, sigmas in row["apart"].items()))
     held = row["predicted"]
     if held is not None and held["closed"] is not None:
@@ -133,21 +136,21 @@ def _more(items: Sequence[object]) -> str:
 
 
 def _rulings(rulings: Sequence[Mapping[str, Any]], of: str) -> Iterable[str]:
-    for it in rulings:
-        if it["number"] is not None or not it["passed"]:
-            part = ", as a part" if it["part"] else ""
-            yield _line("passes" if it["passed"] else "fails", f"{_ruling(it)}{part}{of}")
+    for ruling in rulings:
+        if ruling["number"] is not None or not ruling["passed"]:
+            part = ", as a part" if ruling["part"] else ""
+            yield _line("passes" if ruling["passed"] else "fails", f"{_ruling(ruling)}{part}{of}")
 
 
 def _sigmas(items: Sequence[tuple[str, float]]) -> str:
     return ", ".join(f"{name} {value:+.1f} σ" for name, value in items[:_GROUPS]) + _more(items)
 
 
-def _beside(rows: Sequence[Mapping[str, Any]], wanted: frozenset[str]) -> Iterable[str]:
+def _combined(rows: Sequence[Mapping[str, Any]], wanted: frozenset[str]) -> Iterable[str]:
     """Explanations that combine it with another effect."""
     for row in rows:
         if wanted < _causes(row["label"]):
-            yield _line("beside", "; ".join(line.strip() for line in _decision(row)[:1]))
+            yield _line("together", "; ".join(line.strip() for line in _decision(row)[:1]))
 
 
 def _line(head: str, text: str) -> str:

@@ -275,7 +275,9 @@ def unforced_observations(bag: BagWindows) -> list[Observations]:
 
     Several exciters hold a mode among neighbours by the ratio of their forces, which a backbone of one point lacks.
     """
-    windows = [it for it in bag.of_kind(TestKind.PHASE_RESONANCE) if it.stretch.find(Quantity.FORCE) is None]
+    windows = [
+        segment for segment in bag.of_kind(TestKind.PHASE_RESONANCE) if segment.stretch.find(Quantity.FORCE) is None
+    ]
     if not windows or len(bag.model.all_exciters) > 1:
         return []
     name = bag.part_named(windows, "unforced")

@@ -559,7 +559,7 @@ def notes_of(name: str, decay: DecayReading, hum: Mapping[str, Sequence[Hum]]) -
     if len(decay.good) < THRESHOLDS.reading.decay_few_nodes:
         result.append(
             f"{name}: frequency and damping could be read at {len(decay.good)} of the decay's amplitudes only, which "
-            "say little of what changes with the amplitude: hit harder, or record nearer to where the mode moves."
+            "say little about changes with the amplitude: hit harder, or record nearer to where the mode moves."
         )
     most = math.sqrt(float(decay.others.max()))
     if most > THRESHOLDS.reading.decay_other_mode_share:

@@ -178,7 +178,9 @@ def _unclipped(tests: Sequence[Measurement]) -> frozenset[str]:
 def _limits(tests: Sequence[Measurement]) -> list[tuple[str, float]]:
     """Channels of records and the level at which the samples of each stay, in its unit; 0 = nowhere."""
     records = [test.record for test in tests if test.record is not None]
-    return [(c.name, float(level)) for it in records for c, level in zip(it.channels, it.limits, strict=False)]
+    return [
+        (c.name, float(level)) for record in records for c, level in zip(record.channels, record.limits, strict=False)
+    ]
 
 
 def _of_samples(observations: Observations, part: Part) -> dict[str, float]:

@@ -60,7 +60,7 @@ def law_sentences(reading: LawReading | None, written: bool) -> tuple[str, ...]:
         names = " and the ".join(channels)
         result.append(
             f"Its elements follow the {names} of a record; elsewhere modulated_value sets it, at first to the middle "
-            "of what was visited."
+            "of its range in the records."
         )
     return tuple(result)
 
@@ -85,17 +85,21 @@ def _following(law: LocalLaw) -> list[str]:
     """Sentences on strengths that follow a measured channel."""
     result = []
     for term in law.terms:
-        base = [it for it in law.terms if not it.by and (it.kind, it.parameters) == (term.kind, term.parameters)]
+        base = [
+            law_term
+            for law_term in law.terms
+            if not law_term.by and (law_term.kind, law_term.parameters) == (term.kind, term.parameters)
+        ]
         if not term.by or not base:
             continue
         # A slider's limit is its stiffness times its slip displacement.
         limit = term.kind in ("slider", "bristle", "weakening bristle")
         factor = term.parameters[0] if limit else 1.0
-        units = [it.unit.replace("N/m", "N", 1) if limit else it.unit for it in (base[0], term)]
+        units = [law_term.unit.replace("N/m", "N", 1) if limit else law_term.unit for law_term in (base[0], term)]
         what = (
             "friction limit" if limit or term.kind == "friction" else f"strength of {term.of_unit_strength.form.family}"
         )
-        sizes = [significant(factor * abs(it.coefficient), 3) for it in (base[0], term)]
+        sizes = [significant(factor * abs(law_term.coefficient), 3) for law_term in (base[0], term)]
         first = "−" if base[0].coefficient < 0.0 else ""
         sign, goes = ("+", "grows") if term.coefficient > 0.0 else ("−", "falls")
         low, high = next((low, high) for name, low, high in law.valid_between if name == term.by)

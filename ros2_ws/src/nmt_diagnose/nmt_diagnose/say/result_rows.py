@@ -88,10 +88,14 @@ def too_small_row(
         return None
     explanation = small.fitted
     least = small.fit.log_evidence + math.log(THRESHOLDS.verdict.as_likely_share)
-    near = [it for it in named if not it.stated and it.fit.log_evidence > least]
-    effects = {it.fitted.effects for it in (small, *near)}
+    near = [explanation for explanation in named if not explanation.stated and explanation.fit.log_evidence > least]
+    effects = {explanation.fitted.effects for explanation in (small, *near)}
     # An explanation that only adds an effect to one that they cannot distinguish from it says nothing new.
-    alike = [it for it in effects if not any(set(other) < set(it) for other in effects) and it != explanation.effects]
+    alike = [
+        names
+        for names in effects
+        if not any(set(other) < set(names) for other in effects) and names != explanation.effects
+    ]
     share = close(small)
     row = Ranked(
         effect=joined(cause.effect for cause in explanation.causes),

@@ -33,7 +33,7 @@ from nmt_rig.rig import Rig
 
 
 @dataclass(frozen=True)
-class Standing:
+class SearchState:
     """How far the search has come.
 
     Attributes:
@@ -146,7 +146,7 @@ def find(
     search = Search(data, rig, parameters, candidates, tell)
     scores = cache(partial(search.scores, null))
     law: LawReading | None = None
-    standing = Standing(search, null, ())
+    state = SearchState(search, null, ())
 
     gap = leaves_something(data, null, settings.matters, loop=True) or _promise_evidence(scores())
     settled = False
@@ -155,7 +155,7 @@ def find(
         if memory is not None:
             begun = memory.begun(search, null, lambda it: about(rig, observations, it, search.data.used))
         if begun and memory is not None:
-            passed = memory.far | {it.fitted for it in begun}
+            passed = memory.far | {explanation.fitted for explanation in begun}
         else:
             law = None if beyond_effects or scales else law_of(rig, observations.take(fitted))
             begun = with_laws(search, null, law)
@@ -164,30 +164,30 @@ def find(
             far = THRESHOLDS.search.far_behind_log_evidence
             settled = begun[0].fit.log_evidence - null.fit.log_evidence > 2.0 * far
         singles = begun if settled else _singles(search, null, scores(), begun, modes, rig, passed)
-        standing = _about_best(standing, rig, observations, singles)
-        pairs = _pairs(standing)
-        if pairs and pairs[0].fit.log_evidence > standing.named[0].fit.log_evidence:
-            standing = _about_best(standing, rig, observations, [*standing.named, *pairs])
+        state = _about_best(state, rig, observations, singles)
+        pairs = _pairs(state)
+        if pairs and pairs[0].fit.log_evidence > state.named[0].fit.log_evidence:
+            state = _about_best(state, rig, observations, [*state.named, *pairs])
         else:
-            standing = _competing(standing, [*standing.named, *pairs])
+            state = _competing(state, [*state.named, *pairs])
     else:  # one fit tells what a difference that does not matter looks like
-        standing = _about_best(standing, rig, observations, search.fitted(null, scores()[:1]))
-    first_null, search, null, named = null, standing.search, standing.null, list(standing.named)
+        state = _about_best(state, rig, observations, search.fitted(null, scores()[:1]))
+    first_null, search, null, named = null, state.search, state.null, list(state.named)
     data = search.data
-    own_chain = OwnChains(rig, observations, data, standing.leader)
+    own_chain = OwnChains(rig, observations, data, state.leader)
     named = [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in named]
     leading = Hypotheses(data, null, named, candidates, [], []).best
     if leading is not None and leading.small:
         # An effect that is small with the leading cause is small with every other: rivals get it, too.
-        more = search.with_small(leading, named)
+        more = search.with_small_effects(leading, named)
         named += [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in more]
-    beside = sources(data, null, len(parameters))
-    best_named = Hypotheses(data, null, named, candidates, beside, []).best
+    unnamed = sources(data, null, len(parameters))
+    best_named = Hypotheses(data, null, named, candidates, unnamed, []).best
     behind = sources(data, best_named, len(parameters)) if best_named is not None else []
-    hypotheses = Hypotheses(data, null, named, candidates, beside, behind, standing.elsewhere)
+    hypotheses = Hypotheses(data, null, named, candidates, unnamed, behind, state.elsewhere)
     comparison = hypotheses.compared()
     explained: dict[str, float] = {}
-    for source in beside:
+    for source in unnamed:
         explained[source.location.kind] = max(explained.get(source.location.kind, 0.0), source.explained)
     best = best_named if best_named is not None and comparison.log_odds > THRESHOLDS.verdict.alarm_log_odds else null
     for location in best.explanation.locations:
@@ -195,17 +195,17 @@ def find(
     unmoved = best is first_null  # since the scan
 
     @cache
-    def beside_best() -> tuple[Score, ...]:
+    def with_best() -> tuple[Score, ...]:
         return tuple(scores() if unmoved else search.scores(best, scores()))
 
     if memory is not None:
-        memory.keep(named, [it.found for it in standing.left_out], gap)
+        memory.keep(named, [each.found for each in state.left_out], gap)
     lacking = modes.lacking(data, best.fit)
     return Findings(
         data, search, as_given, null, tuple(named), hypotheses, comparison, explained, best,
         (*modes.disordered, *lacking), scales,
-        standing.left_out, law,
-        () if settled else tuple(scores()), beside_best,
+        state.left_out, law,
+        () if settled else tuple(scores()), with_best,
     )  # fmt: skip
 
 
@@ -235,60 +235,60 @@ def _singles(
     return singles
 
 
-def _pairs(standing: Standing) -> list[FittedExplanation]:
+def _pairs(state: SearchState) -> list[FittedExplanation]:
     """Explanations by two effects, and by one that a pair led to its optimum; the best first."""
-    search, singles = standing.search, standing.named
+    search, singles = state.search, state.named
     search.tell("looking for second effects")
     # What one of them has not reached yet would decide which of them are left out.
-    pairs = best_of([search.again(pair) for pair in search.pairs(singles)])
+    pairs = best_of([search.refit(pair) for pair in search.pairs(singles)])
     reached = search.pruned(pairs)
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
         before = {explanation.explanation for explanation in pairs}
-        pairs += [it for it in search.pairs(reached, singles) if it.explanation not in before]
+        pairs += [pair for pair in search.pairs(reached, singles) if pair.explanation not in before]
     return best_of([*reached, *pairs])
 
 
 def _about_best(
-    standing: Standing, rig: Rig, observations: Observations, found: Sequence[FittedExplanation]
-) -> Standing:
+    state: SearchState, rig: Rig, observations: Observations, found: Sequence[FittedExplanation]
+) -> SearchState:
     """Explanations that compete, fitted under the noise and the errors of the chain about the best of them."""
     named = best_of(found)
-    if not named or named[0].fit.log_evidence <= standing.null.fit.log_evidence:
-        return replace(standing, named=tuple(named))
-    before, leader = standing.search, named[0].fitted
+    if not named or named[0].fit.log_evidence <= state.null.fit.log_evidence:
+        return replace(state, named=tuple(named))
+    before, leader = state.search, named[0].fitted
     data = about(rig, observations, named[0].fit, before.data.used)
     search = Search(data, rig, before.parameters, before.candidates, before.tell)
     search.lost |= before.lost
     near, far = search.in_reach(named)
     elsewhere = _lags(near, far)
     # The evidence of two effects together is compared with that of one of them alone.
-    members = [it for it in far if set(it.fitted.causes) < set(named[0].fitted.causes)][:1]
-    near, far = search.all_again([*near, *members]), [it for it in far if it not in members]
+    members = [explanation for explanation in far if set(explanation.fitted.causes) < set(named[0].fitted.causes)][:1]
+    near, far = search.refit_all([*near, *members]), [explanation for explanation in far if explanation not in members]
     # An effect that does nothing may have led the model's own parameters on to their optimum.
-    null = search.from_parameters_of(near[0], search.again(standing.null))
+    null = search.from_parameters_of(near[0], search.refit(state.null))
     more, far = search.other_laws(near[0], far)
-    left_out = _left_out(standing.null, far, named, near)
+    left_out = _left_out(state.null, far, named, near)
     named = [*near, *more]
     # A second effect that says nothing may have led the first on to its optimum.
     named = best_of([*named, *search.pruned(named)])
-    left_out, elsewhere = [*standing.left_out, *left_out], [*standing.elsewhere, *elsewhere]
-    return Standing(search, null, tuple(named), tuple(left_out), tuple(elsewhere), leader)
+    left_out, elsewhere = [*state.left_out, *left_out], [*state.elsewhere, *elsewhere]
+    return SearchState(search, null, tuple(named), tuple(left_out), tuple(elsewhere), leader)
 
 
-def _competing(standing: Standing, found: Sequence[FittedExplanation]) -> Standing:
+def _competing(state: SearchState, found: Sequence[FittedExplanation]) -> SearchState:
     """Explanations that are not far behind the best, fitted to the end."""
-    search, named = standing.search, best_of(found)
+    search, named = state.search, best_of(found)
     if not named:
-        return standing
+        return state
     near, far = search.in_reach(named)
-    done = set(map(id, standing.named))
-    near = [it if id(it) in done else search.again(it) for it in near]
-    left_out = _left_out(standing.null, far, named, near)
+    done = set(map(id, state.named))
+    near = [explanation if id(explanation) in done else search.refit(explanation) for explanation in near]
+    left_out = _left_out(state.null, far, named, near)
     return replace(
-        standing,
+        state,
         named=tuple(best_of([*near, *search.pruned(near)])),
-        left_out=(*standing.left_out, *left_out),
-        elsewhere=(*standing.elsewhere, *_lags(near, far)),
+        left_out=(*state.left_out, *left_out),
+        elsewhere=(*state.elsewhere, *_lags(near, far)),
     )
 
 
@@ -302,7 +302,7 @@ def _left_out(
     first, most = found[0].fit.log_evidence, math.inf
     if len(kept) >= THRESHOLDS.search.finalists:
         most = first - found[THRESHOLDS.search.finalists - 1].fit.log_evidence
-    return [LeftOut(it, null, first - it.fit.log_evidence, most) for it in far]
+    return [LeftOut(explanation, null, first - explanation.fit.log_evidence, most) for explanation in far]
 
 
 def _lags(near: Sequence[FittedExplanation], far: Sequence[FittedExplanation]) -> list[tuple[FittedExplanation, float]]:

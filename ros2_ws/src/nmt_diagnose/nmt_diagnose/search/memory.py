@@ -71,17 +71,30 @@ class Memory:
         if not named:
             self.near, self.far = (), frozenset()
             return
-        least = max(it.fit.log_evidence for it in named) - THRESHOLDS.search.far_behind_log_evidence
-        near = [it for it in named if it.fit.log_evidence > least][: THRESHOLDS.search.finalists]
+        least = max(explanation.fit.log_evidence for explanation in named) - THRESHOLDS.search.far_behind_log_evidence
+        near = [explanation for explanation in named if explanation.fit.log_evidence > least][
+            : THRESHOLDS.search.finalists
+        ]
         self.near = tuple(
             Remembered(
-                tuple(candidate.cause for candidate in it.candidates),
-                tuple(it.fit.parametrisation.values(it.fit.theta, k) for k in range(len(it.candidates))),
-                dict(zip((p.name for p in it.fit.parametrisation.calibration), it.fit.theta, strict=False)),
+                tuple(candidate.cause for candidate in explanation.candidates),
+                tuple(
+                    explanation.fit.parametrisation.values(explanation.fit.theta, k)
+                    for k in range(len(explanation.candidates))
+                ),
+                dict(
+                    zip(
+                        (p.name for p in explanation.fit.parametrisation.calibration),
+                        explanation.fit.theta,
+                        strict=False,
+                    )
+                ),
             )
-            for it in near
+            for explanation in near
         )
-        self.far = (self.far | {it.fitted for it in (*named, *left_out)}) - {it.fitted for it in near}
+        self.far = (self.far | {explanation.fitted for explanation in (*named, *left_out)}) - {
+            explanation.fitted for explanation in near
+        }
 
     def begun(
         self, search: Search, null: FittedExplanation, about: Callable[[FitResult], Data]
@@ -96,7 +109,9 @@ class Memory:
         """
         if self.near:
             search.tell(f"fitting {len(self.near)} explanations from where they stood")
-        found = best_of([one for it in self.near if (one := fitted_again(search, null, it)) is not None])
+        found = best_of(
+            [one for explanation in self.near if (one := fitted_again(search, null, explanation)) is not None]
+        )
         if not found or search.leaves_noise_only(found[0]):
             return found
         first = found[0].fit
@@ -110,7 +125,7 @@ def fitted_again(search: Search, null: FittedExplanation, remembered: Remembered
     candidates: list[Candidate] = []
     added: list[FloatArray] = []
     for cause, values in zip(remembered.causes, remembered.values, strict=True):
-        candidate = next((it for it in search.candidates if it.cause == cause), None)
+        candidate = next((candidate for candidate in search.candidates if candidate.cause == cause), None)
         theta = None if candidate is None else parameters_at(candidate, values)
         if candidate is None or theta is None or not np.all(np.isfinite(theta)):
             return None

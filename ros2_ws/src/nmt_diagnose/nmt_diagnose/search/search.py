@@ -263,7 +263,7 @@ class Search:
             return None
         return known if found is standing else FittedExplanation(parametrisation.candidates, found)
 
-    def added(
+    def with_added(
         self,
         base: FittedExplanation,
         score: Score,
@@ -296,7 +296,7 @@ class Search:
             return None
         return found
 
-    def again(self, found: FittedExplanation) -> FittedExplanation:
+    def refit(self, found: FittedExplanation) -> FittedExplanation:
         """The same explanation fitted to this search's data from where it stands.
 
         Where it cannot be fitted to them its evidence, which is of other data, counts nothing; that of the model alone
@@ -316,12 +316,14 @@ class Search:
     def in_reach(self, found: Sequence[FittedExplanation]) -> tuple[list[FittedExplanation], list[FittedExplanation]]:
         """Explanations, the best first, that are not far behind the best, and the others."""
         least = found[0].fit.log_evidence - THRESHOLDS.search.far_behind_log_evidence
-        near = [it for it in found if it.fit.log_evidence > least][: THRESHOLDS.search.finalists]
+        near = [explanation for explanation in found if explanation.fit.log_evidence > least][
+            : THRESHOLDS.search.finalists
+        ]
         return near, list(found[len(near) :])
 
-    def all_again(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
+    def refit_all(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
         """Explanations fitted again, the best first; rivals also from the model's parameters of the best."""
-        fitted = sorted((self.again(explanation) for explanation in found), key=lambda it: -it.fit.log_evidence)
+        fitted = sorted((self.refit(explanation) for explanation in found), key=lambda it: -it.fit.log_evidence)
         leader = self.refitted_from_model(fitted[0])
         rivals = [self.from_parameters_of(leader, rival) for rival in fitted[1:]]
         return sorted([leader, *rivals], key=lambda it: -it.fit.log_evidence)
@@ -339,7 +341,7 @@ class Search:
         for explanation in far:
             at_its_place = set(explanation.explanation.locations) <= set(leader.explanation.locations)
             if len(explanation.candidates) == 1 and at_its_place:
-                moved = self.from_parameters_of(leader, self.again(explanation))
+                moved = self.from_parameters_of(leader, self.refit(explanation))
                 if moved.fit.log_evidence > least:
                     near.append(moved)
                     continue
@@ -431,7 +433,7 @@ class Search:
         found = best_of([*found, *self.missing_modes(null)])
         if found and not found[0].fit.converged:
             # What has not arrived takes a second effect for the rest of its way.
-            found[0] = self.again(found[0])
+            found[0] = self.refit(found[0])
         return best_of(found)
 
     def _adds_a_mode(self, number: int) -> bool:
@@ -493,7 +495,7 @@ class Search:
         scores: list[Score] = []
         before = {explanation.explanation for explanation in best_by_effect(known)[: THRESHOLDS.search.pair_heads]}
         # A search that begins at the laws of held levels has explanations by two effects already.
-        heads = [it for it in singles if len(it.candidates) == 1]
+        heads = [explanation for explanation in singles if len(explanation.candidates) == 1]
         for single in best_by_effect(heads)[: THRESHOLDS.search.pair_heads]:
             if single.explanation in before or self.leaves_noise_only(single):
                 continue
@@ -524,27 +526,29 @@ class Search:
                 result.append(alone)
         return sorted(result, key=lambda pair: -pair.fit.log_evidence)
 
-    def with_small(self, leading: FittedExplanation, others: Sequence[FittedExplanation]) -> list[FittedExplanation]:
+    def with_small_effects(
+        self, leading: FittedExplanation, others: Sequence[FittedExplanation]
+    ) -> list[FittedExplanation]:
         """Other explanations by one effect, with the small effects of the leading one added, fitted to the end."""
         known = {explanation.fitted for explanation in others}
         found = []
         for k in sorted(leading.small):
             candidate = leading.candidates[k]
             start = leading.fit.theta[leading.fit.parametrisation.index_of(k)]
-            beside = Score(self.candidates.index(candidate), start, math.nan, math.nan, np.zeros(0))
+            initial = Score(self.candidates.index(candidate), start, math.nan, math.nan, np.zeros(0))
             for other in others:
                 both = Explanation((*other.fitted.causes, candidate.cause))
                 if len(other.candidates) == 1 and other.stated and both not in known:
-                    found.append(self.added(other, beside, name=StartName.BESIDE))
+                    found.append(self.with_added(other, initial, name=StartName.SMALL))
                     known.add(both)
-        return [self.again(explanation) for explanation in found if explanation is not None]
+        return [self.refit(explanation) for explanation in found if explanation is not None]
 
     def fitted(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
         """Candidates fitted on top of a fit from where the score test puts them, the best first."""
         return self._added(base, [score for score in wanted if score.gain > THRESHOLDS.search.least_cost_fall])
 
     def _added(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
-        found = [self.added(base, score) for score in wanted]
+        found = [self.with_added(base, score) for score in wanted]
         return best_of([explanation for explanation in found if explanation is not None])
 
     def from_modes(self, modes: LowLevelModes) -> list[FittedExplanation]:

@@ -42,7 +42,7 @@ SPAN = 0.8
 """Change of ln q over a fitted window, where the motion is slow enough for one of at least the shortest length."""
 _HARMONICS = 3  # of a fitted window
 _PLACES = 25  # of fitted windows along the motion
-_BESIDE = 0.05  # of ln q: amplitude next to the level that is evaluated in its place
+_NEIGHBOUR = 0.05  # of ln q: amplitude next to the level that is evaluated in its place
 _FEWEST = 3  # fitted windows for values
 _LEVELLING = 0.1  # of the usual deviation from their median: difference of windows that does not count
 _CUT_PERIODS = 10  # of a part that is searched for a cut: what grows reaches it late
@@ -228,7 +228,7 @@ def _at_level(
         displacements.append(abs(fit.coefficients[1 + drive, 0]) / float(np.linalg.norm(modal)))
     wanted = level / float(np.median(displacements))
     place = int(np.argmin(np.abs(np.log(q / wanted))))
-    if not q.min() <= wanted <= q.max() and abs(math.log(q[place] / wanted)) < _BESIDE:
+    if not q.min() <= wanted <= q.max() and abs(math.log(q[place] / wanted)) < _NEIGHBOUR:
         wanted = float(q[place])  # a motion that hardly grows stays next to the level
     if not q.min() <= wanted <= q.max():
         raise BenchError(

@@ -130,7 +130,7 @@ class TimeIntegrator:
 
     @cached_property
     def _tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
-        """`LinearMotion`, `PortForces` and `OutputMatrices` of what was taken last, as plain tuples."""
+        """`LinearMotion`, `PortForces` and `OutputMatrices` of the last state, as plain tuples."""
         p = self._propagator
         motion = LinearMotion(
             p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_inputs, p.compliance,

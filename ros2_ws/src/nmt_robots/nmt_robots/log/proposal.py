@@ -425,12 +425,12 @@ class _Draft:
                 continue
             commanded = [heading or unit for heading, unit in zip(stated, measured, strict=True)]
             if kind == POSITION and not any(stated):
-                commanded = self._units_beside(command[kind], measured)
+                commanded = self._units_of_command(command[kind], measured)
             if commanded != measured:
                 sections[kind] = {"column": sections[kind], "unit": _one(commanded)}
         return sections
 
-    def _units_beside(self, command: Family, measured: list[str]) -> list[str]:
+    def _units_of_command(self, command: Family, measured: list[str]) -> list[str]:
         """Units of commanded positions without headings: not that of the positions where the size says so."""
         sizes = [np.nanstd(values, axis=0) for values in (self._values_of(command), self._values_of(self._position))]
         found = []

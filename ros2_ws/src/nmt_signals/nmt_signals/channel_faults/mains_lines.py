@@ -80,7 +80,7 @@ def mains_line(
         part = slice(piece * length, (piece + 1) * length)
         turns = np.zeros(length) if cycles is None else cycles[part]
         taken_out = 0 if cycles is None else harmonics
-        found = _beside_harmonics(turns, data[:, part], taken_out, np.concatenate(([line_hz], near)) / sample_rate)
+        found = _between_harmonics(turns, data[:, part], taken_out, np.concatenate(([line_hz], near)) / sample_rate)
         power = np.abs(found) ** 2
         noise = power[:, 1:].mean(axis=1)
         powers += power[:, 0] - noise
@@ -91,7 +91,7 @@ def mains_line(
     return Line(np.sign(powers) * np.sqrt(np.abs(powers)), spread * np.sqrt(noises))
 
 
-def _beside_harmonics(cycles: FloatArray, data: FloatArray, harmonics: int, per_sample: FloatArray) -> ComplexArray:
+def _between_harmonics(cycles: FloatArray, data: FloatArray, harmonics: int, per_sample: FloatArray) -> ComplexArray:
     """Complex amplitudes (channels, frequencies) of tones, each fitted with the harmonics."""
     steady = _tones(cycles, np.arange(1, harmonics + 1, dtype=np.float64))
     taken = np.concatenate((np.ones((1, cycles.size)), steady.real, steady.imag))

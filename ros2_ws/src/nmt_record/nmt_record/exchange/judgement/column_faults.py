@@ -254,8 +254,11 @@ def _jumps_elsewhere(white: FloatArray, shape: FloatArray, row: int, step: float
         (np.abs(local) > _ALIKE * abs(step)) & (np.abs(local) * math.sqrt(energy) > _CLEAR_STEP * noise)
     )
     rows = rows[np.abs(rows - row) > _LAGS]
-    misfit = [float(np.abs(white[it : it + _LAGS] - local[it] * shape).max()) for it in rows[:_MOST_JUMPS]]
-    return any(it < _USUAL * noise for it in misfit)
+    misfit = [
+        float(np.abs(white[row_index : row_index + _LAGS] - local[row_index] * shape).max())
+        for row_index in rows[:_MOST_JUMPS]
+    ]
+    return any(value < _USUAL * noise for value in misfit)
 
 
 def _filled_means(values: FloatArray, count: int) -> FloatArray:

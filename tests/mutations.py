@@ -90,9 +90,9 @@ MUTATIONS = [
             "the slip force of a joint with sliders at the end",
         ),
         (
-            "nmt_rig/nmt_rig/model/contact_kernel.py",
-            "dissipated[e] += branch[e] * parameters[e, 1] * (w_trial[q] - kinematics[q])",
-            "dissipated[e] -= branch[e] * parameters[e, 1] * (w_trial[q] - kinematics[q])",
+            "nmt_rig/nmt_rig/model/integration_kernel.py",
+            "memory.dissipated[e] += side * parameters[e, SLIP_FORCE] * (after - before)",
+            "memory.dissipated[e] -= side * parameters[e, SLIP_FORCE] * (after - before)",
             "friction creates energy",
         ),
         (

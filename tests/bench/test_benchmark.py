@@ -77,8 +77,7 @@ def test_many_levels_have_a_report_and_their_growth(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.campaign
 def test_contacts_and_channels_have_their_speeds() -> None:
-    assert contact_speed(3, 1, 0.02) > 0.0
-    assert contact_speed(3, 1, 0.02, every_place=True) > 0.0
+    assert contact_speed(3, 0.02) > 0.0
     assert channel_speed(4, 0.04) > 0.0
     for channels in (2, 52):
         with pytest.raises(ValueError, match="3 to 51 channels"):

@@ -1,4 +1,4 @@
-"""Friction and contacts at many places: the loop that updates only what slips or touches."""
+"""Friction and contacts at many places."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_many_contacts_against_solve_ivp():
 
 
 @pytest.mark.parametrize("kind", ["joints", "gaps", "both"])
-def test_as_accurate_as_the_loop_that_solves_for_every_place(kind):
+def test_modal_and_physical_coordinates_are_as_accurate(kind):
     system = beam_with(kind)
     outputs = [displacement_output(system, 20), system.force, acceleration_output(system, 6)]
     found, whole, fine = (
@@ -151,7 +151,7 @@ def test_as_accurate_as_the_loop_that_solves_for_every_place(kind):
 
 
 def test_stiff_contacts_are_solved_for_at_once():
-    """Contacts as stiff as the step allows: a fixed-point iteration would not soon find their forces."""
+    """Contacts as stiff as the step allows."""
     chain = lumped_chain([0.01] * 3, [2e4, 2e4], None, [2e4, 0.0, 2e4], [0.2] * 3)
     stops = [TwoSidedGap(chain.selector(p), 2e5, 1e-5) for p in (1, 2, 3)]
     system = assemble(chain, [*stops, Jenkins(chain.selector(2), 1e5, 0.5)], 1)
@@ -211,7 +211,7 @@ def test_slip_forces_and_stiffness_may_drift():
     np.testing.assert_allclose(results[0] / scale, results[1] / scale, atol=1e-4)
 
 
-def test_smooth_elements_beside_contacts_are_integrated_as_before():
+def test_smooth_elements_and_contacts_in_both_coordinates():
     chain = lumped_chain([0.5, 0.4], [3e4], None, [2e4, 2e4], [1.0, 1.0])
     elements = [Jenkins(chain.selector(1), 9000.0, 2.0), CubicSpring(chain.selector(2), 4e10)]
     system = assemble(chain, elements, 1)

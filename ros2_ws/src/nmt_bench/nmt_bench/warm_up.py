@@ -12,15 +12,9 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
 from nmt_extract.offline import extract_bag
 from nmt_plant.devices.simulated_rig import SimulatedRig
 from nmt_rig.linear_description import linear_description
-from nmt_rig.model.assembly import assemble, displacement_output
-from nmt_rig.model.beam import euler_bernoulli_beam
-from nmt_rig.model.local_elements.friction import Jenkins
-from nmt_rig.model.time_integration import TimeIntegrator
 from nmt_rig.reference import compute_reference, single_point_reference
 from nmt_rig.rig import load_rig
 from nmt_session import Session, plan_test
@@ -82,19 +76,10 @@ def _predictions() -> None:
     warm_up_predictions(load_rig("beam"))
 
 
-def _slide_at_two_places() -> None:
-    """A block of a beam's motion with two sliders to the ground: joints at several places have their own time loop."""
-    beam = euler_bernoulli_beam(0.7, 0.00527668, 0.01156978, 185e9, 7830.0, 50, 1e-4)
-    sliders = [Jenkins(beam.selector(point), 4000.0, limit) for point, limit in ((2, 0.25), (50, 25.0))]
-    system = assemble(beam, sliders, 14)
-    integrator = TimeIntegrator(system, 10_000.0, [displacement_output(system, 50)])
-    integrator.advance(2.0 * np.sin(2 * np.pi * 20.0 * np.arange(201) / 10_000.0))
-
-
 PARTS: dict[str, tuple[Callable[[], None], ...]] = {
     "test": (write_byte_code, _measure),
     "reference": (_reference,),
-    "others": (_single_point_reference, _paper_loop, _slide_at_two_places, _other_plants, _predictions),
+    "others": (_single_point_reference, _paper_loop, _other_plants, _predictions),
 }
 BACKGROUND = "others"
 NICENESS = 10

@@ -134,13 +134,17 @@ class DrivenPlant:
         """Channels (c, T) at some steps under a force at an input, N, (n,), from rest."""
         model, rows = self.fine, slice(self.coordinates, None)
         poles = self._poles_under(number, force, at)
-        return np.asarray(_seen(model.outputs[rows], poles) + np.outer(model.direct[rows, number], force[at]))
+        return np.asarray(_outputs_of(model.outputs[rows], poles) + np.outer(model.direct[rows, number], force[at]))
 
     def motion_under(self, number: int, force: FloatArray) -> tuple[FloatArray, FloatArray, ComplexArray]:
         """Displacements and velocities (r + p, n) along the directions at all steps, and poles (samples, k)."""
         model = self.fine
         poles = self._poles_under(number, force, np.arange(force.size))
-        return _seen(model.outputs[: self.coordinates], poles), _seen(model.velocities, poles), poles[:: self.stride]
+        return (
+            _outputs_of(model.outputs[: self.coordinates], poles),
+            _outputs_of(model.velocities, poles),
+            poles[:: self.stride],
+        )
 
     def _poles_under(self, number: int, force: FloatArray, at: IntArray) -> ComplexArray:
         model = self.fine
@@ -160,7 +164,7 @@ class DrivenPlant:
         keep = np.flatnonzero(self.linear.poles.imag >= 0.0)
         early, late = each.early[np.arange(keep.size), keep], each.late[np.arange(keep.size), keep]
         rows = slice(self.coordinates, self.coordinates + self.channels)
-        return _seen(model.outputs[rows], poles_at(model.decay, early, late, forces @ self.over_poles.T, at))
+        return _outputs_of(model.outputs[rows], poles_at(model.decay, early, late, forces @ self.over_poles.T, at))
 
 
 @dataclass(frozen=True)
@@ -247,7 +251,7 @@ def unknown_motion(
     return UnknownMotion(x, v, forces[:, 0], stds[0], force_size * stds[1], poles, tuple(chosen), forces)
 
 
-def _seen(outputs: ComplexArray, poles: ComplexArray) -> FloatArray:
+def _outputs_of(outputs: ComplexArray, poles: ComplexArray) -> FloatArray:
     """Outputs (o, T) of poles, (T, k)."""
     return np.asarray(outputs.real @ poles.real.T - outputs.imag @ poles.imag.T)
 

@@ -243,7 +243,7 @@ def _step_all(
     """
     recursion, forces, motions, channels, by_force = _tables_of_all(model, r)
     direct = model.direct[:, r:].copy()
-    count, given, c = model.decay.size, inputs.shape[0], direct.shape[0] - r
+    count, input_count, c = model.decay.size, inputs.shape[0], direct.shape[0] - r
     result = np.empty((c, (inputs.shape[1] + stride - 1) // stride))
     sliders = elements.jenkins.shape[0]
     steps = _room(model, r, sliders, timed.kinds.size)
@@ -252,7 +252,7 @@ def _step_all(
     forces_of_motion = sliders + elements.contacts.shape[0] + elements.kinds.size + timed.kinds.size
     free = forces_of_motion == 0 and elements.jenkins_start.size - 1 == r
     largest = 1e-300
-    previous = np.zeros(given)
+    previous = np.zeros(input_count)
     for n in range(inputs.shape[1]):
         was, u = previous[0], inputs[0, n]
         for k in range(count):
@@ -265,11 +265,11 @@ def _step_all(
                 recursion[0, k] * im + recursion[0, count + k] * re + recursion[1, count + k] * was
                 + recursion[2, count + k] * u
             )  # fmt: skip
-        for j in range(1, given):
+        for j in range(1, input_count):
             was, u = previous[j], inputs[j, n]
             for k in range(2 * count):
                 state[k] += recursion[2 * j + 1, k] * was + recursion[2 * j + 2, k] * u
-        for j in range(given):
+        for j in range(input_count):
             previous[j] = inputs[j, n]
         if not free:
             for j in range(r):
@@ -282,7 +282,7 @@ def _step_all(
                 for k in range(2 * count):
                     a += motions[i, k] * state[k]
                     b += motions[r + i, k] * state[k]
-                if given == MOTIONS_GIVEN:
+                if input_count == MOTIONS_GIVEN:
                     a += direct[i, 0] * previous[0]
                     b += direct[i, 0] * previous[1]
                 free_w[i] = a
@@ -296,7 +296,7 @@ def _step_all(
         if n % stride == 0:
             for o in range(c):
                 y = 0.0
-                for j in range(given):
+                for j in range(input_count):
                     y += direct[r + o, j] * previous[j]
                 for j in range(r):
                     y -= by_force[o, j] * g[j]
@@ -316,13 +316,13 @@ def _tables_of_all(model: SteppedModel, r: int) -> tuple[FloatArray, FloatArray,
         channels, (c, 2 k); of the forces at the end in the channels, (c, r).
     """
     decay, early, late, outputs, velocities, direct = model
-    count, c, given = decay.size, outputs.shape[0] - r, early.shape[1] - r
-    recursion, forces = np.empty((1 + 2 * given, 2 * count)), np.empty((r, 2 * count))
+    count, c, input_count = decay.size, outputs.shape[0] - r, early.shape[1] - r
+    recursion, forces = np.empty((1 + 2 * input_count, 2 * count)), np.empty((r, 2 * count))
     motions, channels, by_force = np.empty((2 * r, 2 * count)), np.empty((c, 2 * count)), np.empty((c, r))
     for k in range(count):
         recursion[0, k] = decay[k].real
         recursion[0, count + k] = decay[k].imag
-        for j in range(given):
+        for j in range(input_count):
             for row, value in enumerate((early[k, r + j], late[k, r + j])):
                 recursion[2 * j + 1 + row, k] = value.real
                 recursion[2 * j + 1 + row, count + k] = value.imag

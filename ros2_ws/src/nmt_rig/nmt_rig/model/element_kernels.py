@@ -37,9 +37,6 @@ def _dispatch(formula: str, arguments: str, otherwise: str = "", **how: Any) -> 
 
 response = _dispatch("response", "w, v", "0.0, 0.0, 0.0")
 frozen = _dispatch("frozen", "branch, w, v, slider", "response(kind, p, e, w, v)")
-next_branch = _dispatch("next_branch", "branch, w, v, slider", "0")
-piece = _dispatch("piece", "branch, slider")
-margin = _dispatch("margin", "branch, w, slider")
-# Copied into their callers: a tenth of a step where many sliders share a place, but slower at many places.
-next_branch_here = _dispatch("next_branch", "branch, w, v, slider", "0", inline="always")
-piece_here = _dispatch("piece", "branch, slider", inline="always")
+# Copied into their callers: a tenth of a step where many sliders share a place.
+next_branch = _dispatch("next_branch", "branch, w, v, slider", "0", inline="always")
+piece = _dispatch("piece", "branch, slider", inline="always")

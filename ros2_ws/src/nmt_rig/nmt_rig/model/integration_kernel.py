@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from nmt_core.numerics.kernels import loop_step, njit
 from nmt_rig.model.couplings import coupling_response
-from nmt_rig.model.element_kernels import frozen, next_branch_here, piece_here
+from nmt_rig.model.element_kernels import frozen, next_branch, piece
 from nmt_rig.model.local_elements.friction import Jenkins
 from nmt_rig.model.structure import Array
 
@@ -349,7 +349,7 @@ def solve_one_port(
     k_sum = 0.0
     g_rest = 0.0
     for e in range(acting.kinds.size):
-        own_k, own_rest = piece_here(acting.kinds[e], acting.parameters, e, branch[e], slider[e])
+        own_k, own_rest = piece(acting.kinds[e], acting.parameters, e, branch[e], slider[e])
         k_sum += own_k
         g_rest += own_rest
     w = sub.free[0]
@@ -444,7 +444,7 @@ def passes_corner(acting: PortForces, branch: Integers, slider: Array, own: int,
     corner = False
     for e in range(acting.kinds.size):
         q = acting.element_port[e]
-        new = next_branch_here(acting.kinds[e], acting.parameters, e, branch[e], seen[q], seen[own + q], slider[e])
+        new = next_branch(acting.kinds[e], acting.parameters, e, branch[e], seen[q], seen[own + q], slider[e])
         if new != branch[e]:
             corner = True
     return corner
@@ -493,7 +493,7 @@ def move_elements(acting: PortForces, memory: PortMemory, own: int, corner: bool
         if kinds[e] == JENKINS and branch[e] != 0:
             slip_along(parameters, e, memory, memory.kinematics[q], seen[q])
         if corner:
-            new = next_branch_here(kinds[e], parameters, e, branch[e], seen[q], seen[own + q], slider[e])
+            new = next_branch(kinds[e], parameters, e, branch[e], seen[q], seen[own + q], slider[e])
             if new != branch[e] and branch[e] == 0 and kinds[e] == JENKINS:
                 begin_slip(parameters, e, memory, new, seen[q])
             branch[e] = new

@@ -187,9 +187,6 @@ class Propagator:
         compliance: (K+1, 3 ports, 2 ports) share of port forces and slopes at the step's end in them.
         from_working: (N, Z).
         to_working: (Z, N).
-        projection: (ports, Z) of port forces on the rates of the working coordinates; empty unless modal.
-        holds: (K+1, 4, 4, pairs) blocks [xx, xy, yx, yy] that take such projected forces, their slopes at the start,
-            forces and slopes at the end of a step to the working coordinates; empty unless modal.
     """
 
     modal: bool
@@ -203,8 +200,6 @@ class Propagator:
     compliance: Array
     from_working: Array
     to_working: Array
-    projection: Array
-    holds: Array
 
 
 def phi_functions(z: NDArray[np.complex128], count: int) -> NDArray[np.complex128]:
@@ -256,10 +251,7 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
     of_ports = slice(exciters, exciters + ports)
     inputs = np.column_stack([space.b_inputs, space.b_ports])
     form = None if force_dense else _modal_form(space)
-    if form is None:
-        matrices = _dense_steps(space, inputs, step, levels)
-    else:
-        matrices = _modal_steps(form, inputs, of_ports, step, levels)
+    matrices = _dense_steps(space, inputs, step, levels) if form is None else _modal_steps(form, inputs, step, levels)
     weights, size = matrices.weights, matrices.from_working.shape[1]
     rows, port_inputs, feedthrough = _port_rows(space)
     port_rows = rows @ matrices.from_working
@@ -291,8 +283,6 @@ def propagator(space: StateSpace, step: float, levels: int, force_dense: bool = 
         compliance=compliance,
         from_working=matrices.from_working,
         to_working=matrices.to_working,
-        projection=matrices.projection,
-        holds=matrices.holds,
     )
 
 
@@ -363,8 +353,6 @@ class _Steps:
     weights: list[Array]
     from_working: Array
     to_working: Array
-    projection: Array
-    holds: Array
 
 
 def _modal_form(space: StateSpace) -> _ModalForm | None:
@@ -378,12 +366,11 @@ def _modal_form(space: StateSpace) -> _ModalForm | None:
     return _ModalForm(values, vectors, np.flatnonzero(values.imag > 0), real[0::2], real[1::2])
 
 
-def _modal_steps(form: _ModalForm, inputs: Array, of_ports: slice, step: float, levels: int) -> _Steps:
+def _modal_steps(form: _ModalForm, inputs: Array, step: float, levels: int) -> _Steps:
     left = np.linalg.inv(form.vectors)
     left_inputs = left @ inputs
     size = 2 * form.pairs
     pair = np.zeros((levels + 1, 4, form.pairs))
-    holds = np.zeros((levels + 1, 4, 4, form.pairs))
     weights = [np.zeros((levels + 1, size, inputs.shape[1])) for _ in range(6)]
     steps = step / 2.0 ** np.arange(levels + 1)
     with np.errstate(over="ignore", invalid="ignore"):  # what grows without bound is refused when it moves
@@ -391,13 +378,9 @@ def _modal_steps(form: _ModalForm, inputs: Array, of_ports: slice, step: float, 
     for level in range(levels + 1):
         phi = phi_of_levels[:, level]
         pair[level] = form.blocks(phi[0])
-        found = _holds(phi[1:], step / 2.0**level)
-        for weight, hold in zip(weights, found, strict=True):
+        for weight, hold in zip(weights, _holds(phi[1:], step / 2.0**level), strict=True):
             weight[level] = form.rows(hold[:, None] * left_inputs)
-        for row, hold in enumerate(found[2:]):
-            holds[level, row] = form.blocks(hold)
-    projection = form.rows(left_inputs[:, of_ports]).T.copy()
-    return _Steps(pair, np.zeros((0, size, size)), weights, form.from_working, form.rows(left), projection, holds)
+    return _Steps(pair, np.zeros((0, size, size)), weights, form.from_working, form.rows(left))
 
 
 def _dense_steps(space: StateSpace, inputs: Array, step: float, levels: int) -> _Steps:
@@ -416,7 +399,7 @@ def _dense_steps(space: StateSpace, inputs: Array, step: float, levels: int) -> 
         for weight, hold in zip(weights, _holds(phi_matrices, h), strict=True):
             weight[level] = hold @ inputs
     unit = np.eye(size)
-    return _Steps(np.zeros((0, 4, 0)), dense, weights, unit, unit, np.zeros((0, 0)), np.zeros((0, 4, 4, 0)))
+    return _Steps(np.zeros((0, 4, 0)), dense, weights, unit, unit)
 
 
 def _port_rows(space: StateSpace) -> tuple[Array, Array, Array]:

@@ -9,9 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nmt_rig.model.active_ports import Places, SampleMotion
 from nmt_rig.model.assembly import ElectromechanicalSystem
-from nmt_rig.model.contact_kernel import integrate_contacts
 from nmt_rig.model.couplings import COUPLING_PARAMETERS
 from nmt_rig.model.exciter import OutputRow
 from nmt_rig.model.integration_kernel import (
@@ -88,38 +86,11 @@ class TimeIntegrator:
     def _take(self, system: ElectromechanicalSystem) -> None:
         """Matrices of `system`; the state stays as it is."""
         self.system = system
-        space = state_space(system)
-        step = 1.0 / (self.sample_rate * self.substeps)
-        # Springs that stick are part of the linear motion, unless they are on the exciter's side, which outputs know.
-        self._at_many_places = False
-        ports = space.directions.shape[0]
-        if self._affine and not self._dense and ports > 1:
-            absorbed = [
-                element.linear_stiffness if isinstance(element, Jenkins) and not space.exciter_ports[port] else 0.0
-                for element, port in zip(space.elements, space.element_port, strict=True)
-            ]
-            stiffness = system.stiffness.copy()
-            for element, share in zip(space.elements, absorbed, strict=True):
-                stiffness += share * np.outer(element.direction, element.direction)
-            stuck = state_space(replace(system, stiffness=stiffness))
-            found = propagator(stuck, step, self._levels)
-            if found.modal:
-                self._space, self._propagator, self._at_many_places = stuck, found, True
-                self._absorbed = np.array(absorbed)
-                self._answers = np.ascontiguousarray(found.compliance[:, : 2 * ports].transpose(0, 2, 1))
-                self._gains = self._force_gains(step)
-        if not self._at_many_places:
-            self._space = space
-            self._propagator = propagator(space, step, self._levels, self._dense)
-        order = np.argsort(self._space.element_port, kind="stable")
-        self._port_elements = order.astype(np.int64)
-        self._port_start = np.searchsorted(self._space.element_port[order], np.arange(ports + 1)).astype(np.int64)
-        rows = np.abs(self._propagator.port_rows[:ports])
-        self._reach = rows.max(axis=0) if ports else np.zeros(rows.shape[1])
+        self._space = state_space(system)
+        self._propagator = propagator(self._space, 1.0 / (self.sample_rate * self.substeps), self._levels, self._dense)
         c, self._d_ports, self._d_inputs = self._space.output(self._outputs)
         self._c = np.ascontiguousarray(c @ self._propagator.from_working)
-        for tables in ("_contact_tables", "_tables"):
-            self.__dict__.pop(tables, None)
+        self.__dict__.pop("_tables", None)
 
     @property
     def _acting(self) -> PortForces:
@@ -136,34 +107,6 @@ class TimeIntegrator:
             p.modal, p.pair, p.dense, p.start_weights, p.end_weights, p.port_rows, p.port_inputs, p.compliance,
         )  # fmt: skip
         return tuple(motion), tuple(self._acting), (self._c, self._d_ports, self._d_inputs)
-
-    @cached_property
-    def _contact_tables(self) -> tuple[tuple[Any, ...], tuple[Any, ...], tuple[Array, Array, Array]]:
-        """`SampleMotion`, `Places` and `OutputMatrices` of the matrices and elements taken last, as plain tuples."""
-        p, space = self._propagator, self._space
-        step = 1.0 / (self.sample_rate * self.substeps)
-        motion = SampleMotion(
-            p.pair, p.start_weights, p.port_rows, p.holds, p.projection, self._answers, self._reach, self._gains, step
-        )
-        places = Places(
-            self._kinds, self._parameters, self._absorbed, space.element_port, self._port_start, self._port_elements
-        )
-        return tuple(motion), tuple(places), (self._c, self._d_ports, self._d_inputs)
-
-    def _force_gains(self, step: float) -> Array:
-        """(K + 1,) largest share of a change of the ports' forces that it causes again by the end of a step."""
-        space, compliance = self._space, self._propagator.compliance
-        ports = space.directions.shape[0]
-        stiffest = np.zeros(ports)
-        for element, port in zip(space.elements, space.element_port, strict=True):
-            stiffest[port] += max(element.piece(*element.values, branch, 0.0)[0] for branch in (-1, 0, 1))
-        gains = np.zeros(self._levels + 1)
-        for level, share in enumerate(np.abs(compliance)):
-            width = step / 2.0**level  # takes slopes and velocities to forces and displacements
-            w = share[:ports, :ports].sum(axis=1) + share[:ports, ports:].sum(axis=1) / width
-            v = width * share[ports : 2 * ports, :ports].sum(axis=1) + share[ports : 2 * ports, ports:].sum(axis=1)
-            gains[level] = (stiffest * np.maximum(w, v)).max()
-        return gains
 
     def change(self, system: ElectromechanicalSystem) -> None:
         """Go on with slightly different matrices or parameters of elements; motion and memory stay as they are.
@@ -189,8 +132,6 @@ class TimeIntegrator:
             self._history = np.empty((0, 0))
         for row, element in enumerate(self._space.elements):
             self._parameters[row] = element.parameters
-        if self._at_many_places:
-            self._settle_own_forces()
 
     def reset(self) -> None:
         """Return to rest at time zero, sliders at zero."""
@@ -205,7 +146,6 @@ class TimeIntegrator:
             np.zeros(n),
             np.zeros(2, dtype=np.int64),
         )
-        self._due, self._way = np.zeros(ports), np.zeros(1)
         self._settle_branches()
         self.samples = 0
 
@@ -231,26 +171,10 @@ class TimeIntegrator:
                     branch[e] = side if side * v > 0 else 0
             elif hasattr(element, "next_branch"):
                 branch[e] = element.next_branch(*element.values, 0, w, v, 0.0)
-        if self._at_many_places:
-            self._settle_own_forces()
-            return
         # Twice: the accelerations in the slopes depend on the forces.
         for _ in range(2):
             port_forces(self._acting, branch, slider, kinematics, forces, np.zeros((total, 2)))
             kinematics[:] = p.port_rows @ self._state + p.port_feedthrough @ forces[:total]
-
-    def _settle_own_forces(self) -> None:
-        """Kinematics of the ports, and the forces that are not part of the linear motion, for the present branches."""
-        forces, kinematics, branch, slider, _, _ = self._memory
-        ports = self._space.directions.shape[0]
-        kinematics[:] = self._propagator.port_rows @ self._state
-        forces[:] = 0.0
-        for e, (element, q) in enumerate(zip(self._space.elements, self._space.element_port, strict=True)):
-            k, rest = element.piece(*element.values, int(branch[e]), slider[e])
-            k -= self._absorbed[e]
-            forces[q] += rest + k * kinematics[q]
-            forces[ports + q] += k * kinematics[ports + q]
-        self._due[:] = 0.0
 
     def advance(self, inputs: Array) -> Array:
         """Integrate over one block.
@@ -282,19 +206,6 @@ class TimeIntegrator:
             self._history = np.empty((self._state.size, width))
             self._force_history = np.empty((p.port_feedthrough.shape[1], width))
         result = np.empty((self._c.shape[0], n))
-        if self._at_many_places:
-            good = integrate_contacts(
-                *self._contact_tables,
-                tuple(self._memory),
-                exciters,
-                self.substeps,
-                inputs,
-                self._state,
-                self._due,
-                self._way,
-                result,
-            )
-            return self._moved(n, good, result)
         try:
             good = integrate(
                 *self._tables,
@@ -309,11 +220,7 @@ class TimeIntegrator:
             )
         except ZeroDivisionError:  # a force without bound has no slope
             good = False
-        return self._moved(n, good, result)
-
-    def _moved(self, samples: int, good: bool, result: Array) -> Array:
-        """Count the samples of a block; refuse one whose end is not finite."""
-        self.samples += samples
+        self.samples += n
         if not good:
             raise IntegrationError(
                 f"the motion is not finite near sample {self.samples}; check the local elements' parameters"

@@ -45,11 +45,6 @@ class UnilateralStop(LocalElement):
             return 0.0, 0.0
         return k, -k * branch * gap
 
-    @staticmethod
-    def margin(k: float, gap: float, branch: int, w: float, slider: float) -> float:
-        """Way to the edge of the gap."""
-        return branch * w - gap if branch != 0 else gap - w
-
     @property
     def contacts(self) -> tuple[tuple[float, float, float], ...]:
         """One stop."""
@@ -82,11 +77,6 @@ class TwoSidedGap(UnilateralStop):
     def next_branch(k: float, gap: float, branch: int, w: float, v: float, slider: float) -> int:
         """The branch that fits."""
         return int(w > gap) - int(w < -gap)
-
-    @staticmethod
-    def margin(k: float, gap: float, branch: int, w: float, slider: float) -> float:
-        """Way to the edge of the gap."""
-        return branch * w - gap if branch != 0 else gap - abs(w)
 
     @property
     def contacts(self) -> tuple[tuple[float, float, float], ...]:

@@ -14,8 +14,7 @@ locates where they change, with the position of a slider (m) as the memory of th
 Where the force is linear between its corners, harmonic balance switches it exactly (``sliders``, ``contacts``), and
 
 * ``frozen(…, branch, w, v, slider)``: what ``response`` gives, on a branch;
-* ``piece(…, branch, slider)``: stiffness (N/m) and constant (N) of the force on a branch;
-* ``margin(…, branch, w, slider)``: way (m) from a resting element to its next corner, not positive beyond it.
+* ``piece(…, branch, slider)``: stiffness (N/m) and constant (N) of the force on a branch.
 """
 
 from __future__ import annotations

@@ -64,11 +64,6 @@ class Jenkins(LocalElement):
             return k, -k * slider
         return 0.0, branch * slip
 
-    @staticmethod
-    def margin(k: float, slip: float, branch: int, w: float, slider: float) -> float:
-        """Way to the onset of slip."""
-        return slip / k - abs(w - slider)
-
     @property
     def sliders(self) -> tuple[tuple[float, float], ...]:
         """One slider."""

@@ -21,8 +21,7 @@ from nmt_extract.modal.table import write_csv
 from nmt_extract.offline import extract_bag
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.export.exported_run import export_run
-from nmt_record.windows.recorded_tests import recorded_tests
-from nmt_record.windows.segments import read_signals, segments
+from nmt_record.windows.segments import read_signals, recorded_tests, segments
 from nmt_session import Session, plan_test
 
 RESONANCE: dict[str, Any] = {"test": "secondary_resonance", "control": "force", "window_periods": 10}

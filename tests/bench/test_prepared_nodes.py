@@ -252,7 +252,7 @@ def test_a_stopped_node_does_not_outlive_its_launcher(tmp_path: Path) -> None:
     """The launcher is killed while a node is stopped; the kernel lets the node go on, and it hears of it."""
     program = f"""
 import os, subprocess, sys, time
-from nmt_core.processes.parent_death import begin_group
+from nmt_core.processes.process_end import begin_group
 node = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], preexec_fn=begin_group)
 os.kill(node.pid, {int(signal.SIGSTOP)})
 print(node.pid, flush=True)

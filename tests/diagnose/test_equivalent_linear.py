@@ -15,7 +15,7 @@ from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.observations.observables import Part, Rows
 from nmt_diagnose.prediction.equivalent_linear import equivalents
 from nmt_diagnose.prediction.forward import Forward
-from nmt_diagnose.prediction.local_tables import local_tables
+from nmt_diagnose.prediction.rig_tables import local_tables
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop
 from nmt_rig.model.local_elements.dampers import AmplitudeDamper, PowerLawDamper, QuadraticDrag

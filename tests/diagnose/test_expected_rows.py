@@ -31,8 +31,10 @@ from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, load_rig
+from nmt_sequencer.level_plan import directed
 from nmt_session import Session
-from nmt_session.planning import plan_request
+from nmt_session.plan_of_test import TestPlan
+from nmt_session.planning import plan_test
 
 OF_THE_RECORDING = (Part.LINE, Part.STEP, Part.LIMIT, Part.REPEATS)
 REQUESTS = {
@@ -63,9 +65,21 @@ def prepared(folder: Path, request: TestRequest) -> tuple[TestRequest, Rig]:
     return replace(request, rig=str(file)), load_rig(file)
 
 
+def planned(request: TestRequest) -> TestPlan:
+    return plan_test(
+        request.rig,
+        request.levels if request.direction == "given" else directed(request.levels, request.direction),
+        overrides=[f"{key}={value}" for key, value in request.changes],
+        exciter=request.exciters[0] if request.exciters else None,
+        test=request.kind,
+        control=request.control.label,
+        frequencies_hz=request.frequencies_hz,
+    )
+
+
 def recorded(folder: Path, request: TestRequest, rig: Rig) -> Observations:
     """What a session of the request shows; without what may be wrong with a recording."""
-    with Session(plan_request(request), folder / "run", extract=False) as session:
+    with Session(planned(request), folder / "run", extract=False) as session:
         session.run()
     found = read_observations([folder / "run"], rig)
     return found.take(~np.isin(found.rows.part, OF_THE_RECORDING))

@@ -105,7 +105,7 @@ def test_late_channels_are_effects_that_begin_there_and_no_modes() -> None:
         assert delay == pytest.approx(expected, abs=1.0 / (8.0 * highest))
     modes = LowLevelModes(observations, MODEL)
     assert not modes.disordered
-    assert not modes.sentences
+    assert not modes._lacking
     operating = operating_range(MODEL, observations.tests, observations=observations)
     skews = [own for own in candidates(MODEL, operating) if own.effect.name == "channel_skew"]
     begun = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmt_diagnose.prediction.local_tables import local_tables
 from nmt_diagnose.prediction.record_kernel import SteppedModel, _step_all, _step_one, step_through
+from nmt_diagnose.prediction.rig_tables import local_tables
 from nmt_diagnose.prediction.timed_elements import no_timed_elements
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.local_elements.contacts import TwoSidedGap, UnilateralStop

@@ -33,8 +33,7 @@ from nmt_extract.offline import extract_bag
 from nmt_extract.synthesis.single_mode import SynthesisedBackbone
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.export.exported_run import export_run
-from nmt_record.windows.recorded_tests import recorded_tests
-from nmt_record.windows.segments import read_signals, segments
+from nmt_record.windows.segments import read_signals, recorded_tests, segments
 from nmt_report.figure_files import report_figures
 from nmt_report.run_data_from_bag import report_data_from_bag
 from nmt_report.run_report import write_report

@@ -14,7 +14,7 @@ from robots.simulated_joint import diagnosed_pendulum
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
-from nmt_robots.report.trajectory_files import joint_trajectory, trajectory_csv
+from nmt_robots.report.robot_files import joint_trajectory, trajectory_csv
 from nmt_robots.verdict.joint_verdict import JointTerm, unjudged
 from nmt_robots.verdict.next_motion import STEP_S, NextMotion, next_motion
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis

@@ -82,11 +82,6 @@ class Specimen:
         return tuple(float(value) for value in self._range[:, 0])
 
     @property
-    def output_range(self) -> float:
-        """V, of the output port; of several the first."""
-        return float(self._output_range[0, 0])
-
-    @property
     def output_ranges(self) -> tuple[float, ...]:
         """V, of the output ports."""
         return tuple(float(value) for value in self._output_range[:, 0])

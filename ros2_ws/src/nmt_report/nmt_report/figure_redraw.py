@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 FORMATS = ("svg", "pdf", "png", "eps")
-POINTS_PER_MM = 72.0 / 25.4
 _REPORT_LETTERS = 9.0
 _GUTTER_MM = 5.0
 _DPI = 600

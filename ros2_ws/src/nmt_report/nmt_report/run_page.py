@@ -21,7 +21,6 @@ from nmt_plant.real_time import read_histogram
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.exciter_table import exciter_fact, exciter_table
 from nmt_report.html_page import PageColumn, Row, Table, render
-from nmt_report.level_words import level_sentences
 from nmt_report.quantity_format import (
     duration,
     engineering_exponent,
@@ -31,7 +30,7 @@ from nmt_report.quantity_format import (
     significant,
 )
 from nmt_report.run_data import RunReportData
-from nmt_report.run_verdict import run_verdict
+from nmt_report.run_verdict import level_sentences, run_verdict
 from nmt_report.stated_uncertainty import std_note
 from nmt_report.svg import ReportFigure
 

@@ -8,17 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.files.hardened import read_text, yaml_value
+from nmt_core.files.hardened import yaml_value
 from nmt_core.kinds import KindOfTest, SelfExcitedTest, kind_named
-from nmt_core.kinds.request import TestRequest
-from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.run_settings import RunSettings
 from nmt_core.vocabulary import ControlKind
 from nmt_pll.loop_settings import LoopSettings
 from nmt_rig.one_of_several import named_as_exciter
 from nmt_rig.rig import Rig, load_rig
 from nmt_rig.rig_snapshot import rig_text
-from nmt_sequencer.level_plan import directed, parse_levels
+from nmt_sequencer.level_plan import parse_levels
 from nmt_session.block_length import LevelTime, choose_block
 from nmt_session.curve_loop import SHORTEST_BLOCK, curve_values
 from nmt_session.plan_of_test import PlanSettings, TestPlan, as_plain
@@ -108,36 +106,6 @@ def plan_test(
     if compare and len(settings.get("frequencies_hz", ())) > 1:
         raise BenchError("A comparison takes one frequency for all levels; leave out --compare.")
     return _with_chosen_block(planned) if _leaves_block_open(planned) else planned
-
-
-def plan_request(request: TestRequest, **settings: Any) -> TestPlan:
-    """A test that is asked for as a value.
-
-    Args:
-        request: the test.
-        settings: further ones, as of `plan_test`.
-
-    Raises:
-        BenchError: its rig is not known, or something is refused.
-    """
-    if not request.rig:
-        raise BenchError("It is not known on which rig the test is to be made.")
-    if request.sensors or len(request.exciters) > 1:
-        raise BenchError("A test places no sensors and one exciter; write more of them into a rig file.")
-    levels = request.levels if request.direction == "given" else directed(request.levels, request.direction)
-    if request.linear:
-        settings["linear"] = LinearDescription.from_json(read_text(Path(request.linear), "linear description"))
-    return plan_test(
-        request.rig,
-        levels or None,
-        overrides=[f"{key}={value}" for key, value in request.changes],
-        exciter=request.exciters[0] if request.exciters else None,
-        test=request.kind,
-        control=request.control.label,
-        frequencies_hz=request.frequencies_hz,
-        window_periods=request.periods or None,
-        **settings,
-    )
 
 
 def kind_of_rig(test: str, rig: Rig, settings: dict[str, Any]) -> KindOfTest:

@@ -478,7 +478,7 @@ def _highest_locked(folder: Path) -> float:
 
 def _begin_test() -> None:
     """In a group of its own, so that Ctrl-C reaches it once, and ended by its ramp when this process dies."""
-    from nmt_core.processes.parent_death import begin_group
+    from nmt_core.processes.process_end import begin_group
 
     begin_group()
 

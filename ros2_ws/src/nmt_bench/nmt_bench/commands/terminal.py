@@ -15,9 +15,8 @@ from nmt_core.vocabulary import PointStatus
 from nmt_extract.curves.limit_cycles import feeds_its_motion, limit_cycles
 from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
-from nmt_report.level_words import level_sentences
 from nmt_report.quantity_format import concise, plain, significant, uncertain
-from nmt_report.run_verdict import BAD, GOOD, PARTLY, run_verdict
+from nmt_report.run_verdict import BAD, GOOD, PARTLY, level_sentences, run_verdict
 from nmt_report.stated_uncertainty import std_note, with_budgets
 
 if TYPE_CHECKING:

@@ -27,8 +27,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nmt_core.processes.parent_death import begin_group
-from nmt_core.processes.process_end import end_process
+from nmt_core.processes.process_end import begin_group, end_process
 
 READY, GO = b"ready", b"go"
 ROOM = 1024

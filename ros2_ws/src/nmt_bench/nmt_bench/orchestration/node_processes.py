@@ -16,7 +16,7 @@ from nmt_bench.orchestration.adopted_process import AdoptedProcess
 from nmt_bench.orchestration.prepared_nodes import NodeCommand, NodeLoader
 from nmt_core.errors import BenchError
 from nmt_core.nodes.launcher_watch import LAUNCHER
-from nmt_core.processes.parent_death import begin_group
+from nmt_core.processes.process_end import begin_group
 from nmt_core.processes.process_watch import ProcessWatch
 from nmt_session.node_plan import NODES, NodePlan
 

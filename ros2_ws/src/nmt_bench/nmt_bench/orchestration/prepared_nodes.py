@@ -29,7 +29,7 @@ from nmt_bench.orchestration import node_loader
 from nmt_bench.orchestration.adopted_process import AdoptedProcess, adopted_orphans, can_adopt
 from nmt_bench.orchestration.bench_domain import ONE_THREAD
 from nmt_core.errors import BenchError
-from nmt_core.processes.parent_death import begin_group
+from nmt_core.processes.process_end import begin_group
 
 LONGEST = 120.0  # s; a busy computer imports for long
 _LOOK = 0.1  # s between two looks whether the loader lives

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nmt_core.errors import BenchError
-from nmt_core.processes.parent_death import die_with_parent
+from nmt_core.processes.process_end import die_with_parent
 
 _START_TIMEOUT = 60.0  # s
 _GRACE = 3.0  # s

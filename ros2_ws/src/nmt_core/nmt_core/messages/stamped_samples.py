@@ -1,32 +1,12 @@
-"""Numbers in messages of others, and samples with stamps at other times."""
+"""Samples with stamps at other times."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
 
 _GAP = 1.75  # steps: a sample is missing, or stamps scatter by three quarters of a step
-
-
-def field_getter(path: str, number: int | None = None) -> Callable[[Any], Any]:
-    """What fetches a field of a message by its path, or an element of it.
-
-    Args:
-        path: such as ``linear_acceleration.z``.
-        number: index of the element, from 0; None = the field itself.
-    """
-    parts = path.split(".")
-
-    def get(message: Any) -> Any:
-        for part in parts:
-            message = getattr(message, part)
-        return message if number is None else message[number]
-
-    return get
 
 
 def interpolated(time: FloatArray, values: FloatArray, places: FloatArray, step: float | None = None) -> FloatArray:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from nmt_core.errors import BenchError
-from nmt_core.processes.parent_death import die_with_parent
+from nmt_core.processes.process_end import die_with_parent
 
 RETRIES = 5
 """How often work is given to another worker when the one that had it died."""

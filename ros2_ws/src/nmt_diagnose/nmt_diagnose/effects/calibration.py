@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import exp, pi
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eigh
@@ -12,10 +14,9 @@ from scipy.linalg import eigh
 from nmt_core.key_units import of_rotation, unit_of_key
 from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.location import LocationKind
-from nmt_diagnose.effects.modal_calibration import model_paths
 from nmt_diagnose.effects.rig_edit import Path, value_at, with_value
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.rig import BeamSection, ChainSection, ForceSection, MatricesSection, Rig, ShakerSection
+from nmt_rig.rig import BeamSection, ChainSection, ForceSection, MatricesSection, ModalSection, Rig, ShakerSection
 from nmt_rig.rig_model import build_structure
 
 
@@ -183,3 +184,34 @@ def _of_mode(key: str, mode: int, value: float, count: int) -> ModeFactor:
         f"structure.{key}.{mode}", "1", ("structure", key), MODEL_PRIORS[key].std, "structure", value, mode=mode,
         count=count,
     )  # fmt: skip
+
+
+def model_paths(structure: ModalSection | MatricesSection) -> tuple[Path, ...]:
+    """Keys of the structure that are its parameters: every mode's, or the factors of the matrices.
+
+    A participation is one only where it is given.
+    """
+    if isinstance(structure, ModalSection):
+        keys = ("frequency_hz", "damping_ratio", "modal_mass_kg", "participation")
+        return tuple(("structure", "modes", mode, key) for mode in range(len(structure.modes)) for key in keys)
+    paths: list[Path] = [("structure", "mass_factor"), ("structure", "stiffness_factor")]
+    if structure.damping_ns_m is not None:
+        paths.append(("structure", "damping_factor"))
+    paths += [("structure", "damping_ratios", index) for index in range(len(structure.damping_ratios or ()))]
+    return tuple(paths)
+
+
+def with_stiffness(structure: ModalSection | MatricesSection, factor: float) -> dict[str, Any]:
+    """Keys of the structure with all its stiffness times ``factor`` and its damping matrix as it was."""
+    root = math.sqrt(factor)
+    if isinstance(structure, ModalSection):
+        # c = 2 ζ ω m stays as it is.
+        modes = [
+            mode.model_copy(
+                update={"frequency_hz": root * mode.frequency_hz, "damping_ratio": mode.damping_ratio / root}
+            )
+            for mode in structure.modes
+        ]
+        return {"modes": modes}
+    change: dict[str, Any] = {"stiffness_factor": structure.stiffness_factor * factor}
+    return change

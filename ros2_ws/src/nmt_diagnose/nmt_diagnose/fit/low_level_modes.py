@@ -455,11 +455,6 @@ class LowLevelModes:
                     result.append(LackingMode(pole, band_hz, receptance))
         return tuple(result)
 
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """On modes that the model seems to lack, each frequency once however many tests show it."""
-        return tuple(sentence for _, sentence in self._lacking)
-
     def lacking(self, data: Data, found: FitResult, certain: bool = False) -> tuple[str, ...]:
         """Sentences on modes that the model lacks: channels miss what is around them in the best fit.
 

@@ -24,7 +24,6 @@ from nmt_diagnose.prediction.rig_tables import GAIN
 
 _WALKS = 10.0 ** np.arange(-4.0, 0.75, 0.75)  # of the unknown force from sample to sample, over the measured force
 _ELSEWHERE = 0.003  # forces at other places over the measured one: what no model has
-_READ_OFF = 1e-3  # noise of a channel over its size, at least
 _FORGOTTEN = 2.0  # periods of the slowest motion in which the walk comes back: accelerometers tell no slow force
 _HEAD = 400  # samples that the state at the beginning is read off
 _DOUBLINGS = 40

@@ -24,8 +24,7 @@ from nmt_diagnose.observations.origin import origin_of, refuse_own_recordings, s
 from nmt_diagnose.observations.read_tables import table_observations
 from nmt_record.bag.bag_reader import Bag
 from nmt_record.exchange.reduced.observables import ObservableTable, observable_tables
-from nmt_record.windows.recorded_tests import recorded_tests
-from nmt_record.windows.segments import Segment, segments
+from nmt_record.windows.segments import Segment, recorded_tests, segments
 from nmt_rig.rig import Rig
 
 

@@ -13,11 +13,10 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_diagnose.effects.modal_calibration import with_stiffness
+from nmt_diagnose.effects.calibration import with_stiffness
 from nmt_diagnose.effects.rig_edit import with_exciters
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model, moved_model
-from nmt_diagnose.prediction.local_tables import local_tables
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_tables import (
     DELAY,
@@ -27,6 +26,7 @@ from nmt_diagnose.prediction.rig_tables import (
     HIGH_PASS,
     LOW_PASS,
     RigTables,
+    local_tables,
 )
 from nmt_diagnose.prediction.timed_elements import TimedElements, TimedRow, timed_rows
 from nmt_rig.model.aft import LocalTables

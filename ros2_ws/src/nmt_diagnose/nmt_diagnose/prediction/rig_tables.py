@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +11,9 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
 from nmt_core.numerics.kernels import njit
 from nmt_diagnose.prediction.linear_model import LinearTables
-from nmt_rig.model.aft import LocalTables, forces_alone, local_forces
+from nmt_rig.model.aft import LocalTables, element_rows, forces_alone, local_forces
+from nmt_rig.model.fourier_basis import FourierBasis
+from nmt_rig.model.local_elements.element import LocalElement
 
 # Columns of the table of sensor chains, see `rig_parts.channel_table`.
 GAIN, DELAY, LOW_PASS, HIGH_PASS = 0, 1, 2, 3
@@ -158,3 +162,26 @@ def any_nonlinear(factor: FloatArray, tables: LocalTables) -> bool:
     """Whether any force of the local coordinates is there at all: those that are linear are not among them."""
     elements = tables.jenkins.shape[0] + tables.contacts.shape[0] + tables.kinds.size
     return bool(elements > 0 or factor[FACTOR_LINEAR] != 0.0 or factor[FACTOR_QUADRATIC] != 0.0)
+
+
+@lru_cache(maxsize=16)
+def _sampled(highest: int, samples: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    basis = FourierBasis.up_to(highest)
+    return basis.sampled(samples), basis.sampled_slope(samples), basis.sampled_slope(max(64, 8 * highest))
+
+
+def local_tables(groups: Sequence[Sequence[LocalElement]], basis: FourierBasis, samples: int | None) -> LocalTables:
+    """Tables of the elements of each coordinate (an empty group is a coordinate without force).
+
+    Args:
+        groups: elements of each coordinate.
+        basis: orders 0 … H.
+        samples: samples per period of smooth elements; None = from their kinds.
+
+    Raises:
+        BenchError: a kind without harmonic balance.
+    """
+    highest = int(basis.orders[-1])
+    rows, needed = element_rows(groups, highest, 4 * highest + 4, fitted=True)
+    values, slopes, slope_basis = _sampled(highest, needed if samples is None else samples)
+    return LocalTables(basis.orders, basis.offsets, slope_basis, *rows, values, slopes)

@@ -1,10 +1,10 @@
 """Step 4: the compiled numerical kernels are cached.
 
 They need the requirements and the sources but no built workspace. Where both are to be made, the kernels are compiled
-while the workspace is built. What a first test needs is compiled by two processes, which the set-up waits for. The
-others, of the diagnosis above all, are compiled afterwards in the background at low priority. A command that computes
-much with them waits for that; any other that meets one under way waits for this one (``nmt_core.numerics.kernels``), so
-that none is compiled twice.
+while the workspace is built. What a first test needs is compiled by two processes, which the set-up waits for. Two more
+compile the others, of the diagnosis above all, at low priority; they go on in the background when the set-up is done. A
+command that computes much with them waits for that; any other that meets one under way waits for this one
+(``nmt_core.numerics.kernels``), so that none is compiled twice.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import contextlib
 import fcntl
 import os
 import re
+import shlex
 import signal
 import subprocess
 import sys
@@ -28,11 +29,11 @@ from .stamps import packages
 
 FIRST = ("test", "reference")
 """Parts of ``nmt_bench.warm_up`` that a first test needs, a process each."""
-LATER = "others"
-"""The part that is compiled in the background."""
+LATER = ("responses", "records")
+"""Parts that are compiled at low priority, in the background in the end."""
 LATER_LOCK = os.path.join(STATE_FOLDER, "kernels.lock")
-LATER_LOG = os.path.join(STATE_FOLDER, "log", "kernels-others.log")
-PATIENT = ("test", "diagnose", "blind", "study", "benchmark")
+LATER_LOG = os.path.join(STATE_FOLDER, "log", "kernels-later.log")
+PATIENT = ("test", "blind", "study", "benchmark")
 """Commands that compute with the kernels of the background, or beside which it would get no processor."""
 
 
@@ -48,45 +49,44 @@ class KernelCompilation:
 
     def __init__(self, state: dict[str, Any], guard: int) -> None:
         end_later()
-        self._state = state
         self._parts: list[tuple[StepRunner, subprocess.Popen[bytes]]] = []
         if os.path.isfile(WARM_UP):
             environment = _environment(state)
             for part in FIRST:
                 runner = StepRunner(f"kernels-{part}", None, guard)
                 self._parts.append((runner, runner.start(_command(part), environment, WORKSPACE)))
+            start_later(state)
 
     def finish(self, progress: Progress) -> None:
-        """Wait for the end, then start the others in the background; a failure is a note and no more."""
+        """Wait for the kernels of a first test; a failure is a note and no more."""
         for runner, process in self._parts:
             runner.progress = progress
             if not runner.finish(process, partial(_how_far_is, runner), may_fail=True):
                 progress.break_line()
                 log = os.path.relpath(runner.log, ROOT)
                 sys.stderr.write(f"note: the kernels could not be compiled beforehand ({log} says why)\n")
+                end_later()
                 return
-        if self._parts:
-            start_later(self._state)
 
     def end(self) -> None:
-        """End the compilation if it is still under way."""
+        """End the compilation for a first test if it is still under way."""
         for _, process in self._parts:
             if process.poll() is None:
                 end_group(process)
 
 
 def start_later(state: dict[str, Any]) -> None:
-    """Compile the other kernels in the background; the program holds a lock as long as it is at work."""
+    """Compile the other kernels in the background; the programs hold a lock as long as they are at work."""
     with open(LATER_LOCK, "a+") as lock, open(LATER_LOG, "wb") as log:
         try:
             fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return
         # By a shell that ends at once: it is no child of the command that this process becomes.
+        programs = "".join(f"{shlex.join(_command(part))} & " for part in LATER)
         process = subprocess.Popen(
-            ["sh", "-c", '"$@" &', "sh", *_command(LATER)], stdin=subprocess.DEVNULL, stdout=log,
-            stderr=subprocess.STDOUT, cwd=WORKSPACE, env=_environment(state), start_new_session=True,
-            pass_fds=(lock.fileno(),),
+            ["sh", "-c", programs], stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+            cwd=WORKSPACE, env=_environment(state), start_new_session=True, pass_fds=(lock.fileno(),),
         )  # fmt: skip
         process.wait()
         lock.truncate(0)
@@ -119,7 +119,7 @@ def wait_for_later() -> None:
 
 
 def later_progress() -> str:
-    """How far the compilation in the background is, "2 of 5"; empty where none is under way."""
+    """How far the compilation in the background is, "3 of 8"; empty where none is under way."""
     with contextlib.suppress(OSError), open(LATER_LOCK) as lock, open(LATER_LOG, errors="replace") as log:
         if _held(lock):
             return _how_far(log.read())

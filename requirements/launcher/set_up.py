@@ -131,6 +131,7 @@ def set_up(wanted: str | None, compiled: bool = True) -> dict[str, Any]:
                         kernels.finish(progress)
                 except BaseException:
                     progress.break_line()
+                    end_later()
                     raise
                 if step != "workspace":
                     state[step] = expected_stamps(state)[step]

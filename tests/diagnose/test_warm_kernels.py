@@ -42,5 +42,6 @@ def test_the_warm_up_uses_a_kernel(module: Any, name: str, monkeypatch: pytest.M
         return kernel(*values)
 
     monkeypatch.setattr(module, name, counted)
-    warm_up_predictions(load_rig("beam"))
+    for records in (False, True):
+        warm_up_predictions(load_rig("beam"), records)
     assert calls

@@ -110,8 +110,7 @@ def test_kernels_are_cached_once_their_module_exists(project):
     project.launcher.kernels.wait_for_later()
     asked = project.calls()
     parts = [line.partition(" ")[2] for line in asked if line.startswith("nmt_bench.warm_up")]
-    assert sorted(parts[:-1]) == ["reference", "test"]  # beside each other
-    assert parts[-1] == "others"
+    assert sorted(parts) == ["records", "reference", "responses", "test"]  # at one time
     assert "OPENBLAS_NUM_THREADS=1" in asked
     project.launcher.set_up.set_up(None)
     assert project.calls() == []
@@ -130,7 +129,7 @@ def test_a_command_that_computes_nothing_leaves_the_kernels_to_the_next(project)
 
 def test_kernels_of_the_background_are_waited_for_by_who_needs_them_and_end_with_the_set_up(project, monkeypatch):
     project.write("ros2_ws/src/nmt_bench/nmt_bench/warm_up.py", "")
-    project.write("hold-others", "")
+    project.write("hold-records", "")
     kernels = project.launcher.kernels
     kernels.start_later(project.launcher.set_up.set_up(None))
     waiting = threading.Thread(target=kernels.wait_for_later)
@@ -146,7 +145,7 @@ def test_kernels_of_the_background_are_waited_for_by_who_needs_them_and_end_with
     kernels.end_later()
     waiting.join(60)
     assert not waiting.is_alive()
-    assert project.calls().count("nmt_bench.warm_up others") == 1
+    assert project.calls().count("nmt_bench.warm_up records") == 1
 
 
 @pytest.mark.parametrize("name", ["kernel.py", "local_elements/springs.py"])

@@ -1,7 +1,8 @@
 """Compiles the numerical kernels into their cache, so that no first run has to wait (``-m nmt_bench.warm_up PART``).
 
 Part ``test`` is what a first test needs, and the packages' byte code: every node is a process of its own. Part
-``reference`` is what its report compares with, part ``others`` everything else; without a part all are compiled.
+``reference`` is what its report compares with. Parts ``responses`` and ``records`` are everything else, the kernels of
+a diagnosis first; without a part all are compiled.
 """
 
 from __future__ import annotations
@@ -70,18 +71,25 @@ def _other_plants() -> None:
         device.close()
 
 
-def _predictions() -> None:
+def _predicted_responses() -> None:
     from nmt_diagnose.prediction.warm_up import warm_up_predictions
 
-    warm_up_predictions(load_rig("beam"))
+    warm_up_predictions(load_rig("beam"), records=False)
+
+
+def _predicted_records() -> None:
+    from nmt_diagnose.prediction.warm_up import warm_up_predictions
+
+    warm_up_predictions(load_rig("beam"), records=True)
 
 
 PARTS: dict[str, tuple[Callable[[], None], ...]] = {
     "test": (write_byte_code, _measure),
     "reference": (_reference,),
-    "others": (_single_point_reference, _paper_loop, _other_plants, _predictions),
+    "responses": (_predicted_responses, _single_point_reference, _paper_loop),
+    "records": (_predicted_records, _other_plants),
 }
-BACKGROUND = "others"
+BACKGROUND = ("responses", "records")
 NICENESS = 10
 """Of the background: a run next to it has nine tenths of the processor."""
 
@@ -99,6 +107,6 @@ def warm_up(*parts: str) -> None:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:] == [BACKGROUND]:
+    if set(sys.argv[1:]) & set(BACKGROUND):
         os.nice(NICENESS)
     warm_up(*sys.argv[1:])

@@ -22,36 +22,49 @@ from nmt_rig.model.local_elements.springs import CubicSpringSection
 from nmt_rig.rig import Rig
 
 
-def warm_up_predictions(rig: Rig) -> None:
-    """Predict one test of each kind for a rig, and its sensitivities; a level without a solution does not matter."""
+def warm_up_predictions(rig: Rig, records: bool) -> None:
+    """Predict one test of each kind for a rig, and its sensitivities; a level without a solution does not matter.
+
+    Args:
+        rig: any rig with a local element.
+        records: decays and records of samples; else levels and frequency responses.
+    """
     point = rig.drive_point
     force = MeasuredChannel("f", Quantity.FORCE, point)
     response = MeasuredChannel("x", Quantity.DISPLACEMENT, point)
     both = (force, response)
     level = LockedLevel(0, 0.1, 0.0, 0.0, 22.0, 0.0, 1.0, 0.0, 1)
-    tests: tuple[Measurement, ...] = (
-        LockedWindows("locked", (point,), "x", both, 3, "voltage", (level,)),
-        RandomResponses("noise", point, both, "voltage", np.array([20.0, 21.0]), 1.0, "none", 0.1, 0.0, 1.0, 1000.0),
-        RecordedDecay("decay", point, response, np.array([1e-6]), 22.0),
-        DrivenRecord(
-            "record", point, 1000.0, MeasuredChannel("u", Quantity.VOLTAGE, 0), np.ones(8), (response,),
-            np.array([0.0, 8.0]),
+    drive, window = MeasuredChannel("u", Quantity.VOLTAGE, 0), np.array([0.0, 8.0])
+    band = np.array([20.0, 21.0])
+    of_responses: tuple[tuple[Measurement, tuple[Part, ...]], ...] = (
+        (LockedWindows("locked", (point,), "x", both, 3, "voltage", (level,)), (Part.LOG_FREQUENCY,)),
+        (
+            RandomResponses("noise", point, both, "voltage", band, 1.0, "none", 0.1, 0.0, 1.0, 1000.0),
+            (Part.LOG_MAGNITUDE,),
         ),
-        ImposedMotion(
-            "imposed", point, 1000.0, response, np.ones(8), (force,), np.array([0.0, 8.0]), motion=np.ones((3, 8)),
+        (RandomResponses("lines", point, both, "force", band, 1.0, "none", 0.1, 0.0, 1.0), (Part.LOG_MAGNITUDE,)),
+        (
+            SteppedResponses(
+                "stepped", point, (response,), "force", "force", np.array([20.0]), np.array([0.1]),
+                np.array([[1e-4 + 0j]]), np.array([0.01]),
+            ),
+            (Part.LOG_MAGNITUDE,),
         ),
-        SteppedResponses(
-            "stepped", point, (response,), "force", "force", np.array([20.0]), np.array([0.1]),
-            np.array([[1e-4 + 0j]]), np.array([0.01]),
-        ),
-        RandomResponses("lines", point, both, "force", np.array([20.0, 21.0]), 1.0, "none", 0.1, 0.0, 1.0),
     )  # fmt: skip
-    parts = (Part.LOG_FREQUENCY, Part.LOG_MAGNITUDE, Part.DAMPING, Part.PHASE, Part.SAMPLE, Part.SAMPLE,
-             Part.LOG_MAGNITUDE, Part.LOG_MAGNITUDE)  # fmt: skip
-    of_test = np.array([0, 1, 2, 2, 3, 4, 5, 6])
+    of_records: tuple[tuple[Measurement, tuple[Part, ...]], ...] = (
+        (RecordedDecay("decay", point, response, np.array([1e-6]), 22.0), (Part.DAMPING, Part.PHASE)),
+        (DrivenRecord("record", point, 1000.0, drive, np.ones(8), (response,), window), (Part.SAMPLE,)),
+        (
+            ImposedMotion("imposed", point, 1000.0, response, np.ones(8), (force,), window, motion=np.ones((3, 8))),
+            (Part.SAMPLE,),
+        ),
+    )
+    tests = of_records if records else of_responses
+    parts = [(number, int(part)) for number, (_, asked) in enumerate(tests) for part in asked]
+    of_test, of_part = np.array(parts, dtype=np.int64).T
     zero, none = np.zeros(len(parts), dtype=np.int64), np.zeros(len(parts))
-    rows = Rows(of_test, zero, zero, zero + 1, np.array([int(part) for part in parts]), none, none, none)
-    forward = Forward(tests, rows)
+    rows = Rows(of_test, zero, zero, zero + 1, of_part, none, none, none)
+    forward = Forward(tuple(test for test, _ in tests), rows)
     parametrisation = Parametrisation(rig, calibration_parameters(rig)[:1])
     solved = forward.predict(rig)
     forward.jacobian(parametrisation, parametrisation.zero, solved)

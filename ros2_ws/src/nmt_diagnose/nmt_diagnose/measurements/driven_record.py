@@ -77,7 +77,29 @@ REMEMBERED = 3
 _ERROR_STEP = 0.05  # of a standard deviation, for differences
 
 
-class RecordPredictor(Predictor):
+class SamplePredictor(Predictor):
+    """Predicts rows that are samples of the channels of a record."""
+
+    test: Record
+    _sample: IntArray
+
+    def _of_rows(self, responses: FloatArray, otherwise: float = 0.0) -> FloatArray:
+        """Values of channels (channels, samples) at the rows that are samples."""
+        selected = self.rows.part == Part.SAMPLE
+        return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], otherwise)
+
+    def _sensor_errors(self, responses: FloatArray, chain: MeasuringChain) -> dict[str, FloatArray]:
+        """What a standard deviation of zero and gain of each sensor adds to the rows, for what the model records."""
+        found: dict[str, FloatArray] = {}
+        values = self._of_rows(responses)
+        for number, channel in enumerate(self.channels):
+            selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
+            found[f"zero of {channel.name} in {self.test.name}"] = float(self.test.zeros[1 + number]) * selected
+            found[f"gain of {channel.name} in {self.test.name}"] = chain.of(channel.name).gain * values * selected
+        return found
+
+
+class RecordPredictor(SamplePredictor):
     """Predicts the samples of one record.
 
     Args:
@@ -99,17 +121,12 @@ class RecordPredictor(Predictor):
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
-        self.setup = setup
-        self._own = np.array(setup.index(self.channels), dtype=np.int64)
+        super().use(setup)
         self._known.clear()
 
     def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any] = ()) -> FloatArray:
         """Observables of the test's rows."""
-        responses = self.responses(rig, cache)
-        result = np.full(len(self.rows), np.nan)
-        which = self.rows.part == Part.SAMPLE
-        result[which] = responses[np.maximum(self.rows.channel[which], 0), self._sample[which]]
-        return result
+        return self._of_rows(self.responses(rig, cache), np.nan)
 
     def responses(self, rig: Rig, cache: PartsCache) -> FloatArray:
         """Recorded responses (channels, samples)."""
@@ -135,7 +152,7 @@ class RecordPredictor(Predictor):
 
         found: dict[str, FloatArray] = {}
         if chain is not None and self.test.zeros.size:
-            source, *responses = (float(zero) for zero in self.test.zeros)
+            source = float(self.test.zeros[0])
             if source > 0.0:
                 moved = self._stepped(parts, rate, substeps, offset=_ERROR_STEP * source)[0]
                 found[f"zero of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
@@ -143,11 +160,7 @@ class RecordPredictor(Predictor):
             if louder > 0.0:
                 moved = self._stepped(parts, rate, substeps, louder=louder)[0]
                 found[f"gain of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
-            for number, (channel, zero) in enumerate(zip(self.channels, responses, strict=True)):
-                selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
-                found[f"zero of {channel.name} in {self.test.name}"] = zero * selected
-                gain = chain.of(channel.name).gain * self._of_rows(base) * selected
-                found[f"gain of {channel.name} in {self.test.name}"] = gain
+            found |= self._sensor_errors(base, chain)
         for number, error in enumerate(initial.errors):
             moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]
             found[f"start {number} of {self.test.name}"] = change(moved)
@@ -162,17 +175,13 @@ class RecordPredictor(Predictor):
 
     def _recorded(self, raw: FloatArray, parts: RigParts, rate: float) -> FloatArray:
         """What the sensors make of the channels, by the rate of the input, Hz."""
-        return recorded(raw, parts, self._own, rate / self.test.head_stride)
-
-    def _of_rows(self, responses: FloatArray) -> FloatArray:
-        selected = self.rows.part == Part.SAMPLE
-        return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], 0.0)
+        return recorded(raw, parts, self._places, rate / self.test.head_stride)
 
     def _driven_model(self, parts: RigParts, rate: float, substeps: int) -> tuple[float, float, SteppedModel]:
         """Saturation and gain of the drive, and the recursion of the poles over a step."""
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
         gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
-        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._places))
         return saturation, gain, stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
 
     def _raw(
@@ -183,7 +192,7 @@ class RecordPredictor(Predictor):
         errors = errors or self.test.begins_in_motion
         digest = hashlib.sha256(repr((substeps, saturation, gain, errors)).encode())
         # The state that a record begins in is read through the sensors.
-        gains = parts.channels[self._own, GAIN] if self.test.head.size else np.zeros(0)
+        gains = parts.channels[self._places, GAIN] if self.test.head.size else np.zeros(0)
         for array in (*model, parts.force_factor, *parts.tables.elements, *parts.timed.tables(), gains):
             digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         key = digest.digest()
@@ -231,7 +240,7 @@ class RecordPredictor(Predictor):
         head, stride = self.test.head, self.test.head_stride
         initial = at_rest(model.decay.size)
         if head.size and errors:
-            gains = parts.channels[self._own, GAIN][:, None]
+            gains = parts.channels[self._places, GAIN][:, None]
             samples = (head.shape[1] - 1) * stride + 1
             initial = initial_state(
                 head,

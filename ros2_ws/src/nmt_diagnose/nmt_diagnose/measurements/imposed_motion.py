@@ -19,6 +19,7 @@ from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import MOTIONS, TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel, with_magnitudes
 from nmt_diagnose.measurements.driven_record import (
+    SamplePredictor,
     followed_channels,
     recorded,
     refinement,
@@ -35,7 +36,6 @@ from nmt_diagnose.observations.observation_settings import ObservationSettings
 from nmt_diagnose.prediction.linear_model import LinearModel, OutputRows, linear_model
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.predictor import Predictor
 from nmt_diagnose.prediction.record_kernel import MOTIONS_GIVEN, step_through, stepped_model
 from nmt_diagnose.prediction.resting_motion import (
     Motion,
@@ -105,7 +105,7 @@ class ImposedMotion(Record):
 _ERROR_STEP = 0.05  # of a standard deviation, for differences
 
 
-class ImposedMotionPredictor(Predictor):
+class ImposedMotionPredictor(SamplePredictor):
     """Predicts force and responses of one record of an imposed motion.
 
     Args:
@@ -121,11 +121,6 @@ class ImposedMotionPredictor(Predictor):
         self._sample = np.clip(
             np.round((rows.time_s - test.start_s) * test.sample_rate).astype(np.int64), 0, test.input.size - 1
         )
-
-    def use(self, setup: Setup) -> None:
-        """Take the parts of rigs from a setup that other tests share."""
-        self.setup = setup
-        self._own = np.array(setup.index(self.channels), dtype=np.int64)
 
     def values(self, rig: Rig, cache: PartsCache, states: Sequence[Any] = ()) -> FloatArray:
         """Observables of the test's rows."""
@@ -147,31 +142,21 @@ class ImposedMotionPredictor(Predictor):
         for what, moved in (("zero", test.with_zero(_ERROR_STEP)), ("gain", test.with_gain(_ERROR_STEP))):
             change = (self._responses(rig, cache, moved) - base) / _ERROR_STEP
             found[f"{what} of {test.input_channel.name} in {test.name}"] = self._of_rows(change)
-        for number, channel in enumerate(self.channels):
-            selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
-            found[f"zero of {channel.name} in {test.name}"] = test.zeros[1 + number] * selected
-            found[f"gain of {channel.name} in {test.name}"] = (
-                chain.of(channel.name).gain * self._of_rows(base) * selected
-            )
-        return found
-
-    def _of_rows(self, responses: FloatArray, other: float = 0.0) -> FloatArray:
-        selected = self.rows.part == Part.SAMPLE
-        return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], other)
+        return found | self._sensor_errors(base, chain)
 
     def _responses(self, rig: Rig, cache: PartsCache, motion: FloatArray) -> FloatArray:
         """Recorded channels, (channels, samples)."""
         test = self.test
         parts = cache.parts(rig, self.setup, test.start_s + 0.5 * test.input.size / test.sample_rate)
         rate = test.sample_rate * parts.clock
-        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+        rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._places))
         free = free_model(parts, self.settings)
         substeps = substeps_of(free, rate) if free.poles.size else 1
         model = stepped_model(free, parts.coordinates, rows, 1.0 / (rate * substeps))
         steps = _between(motion * np.array([1.0, parts.clock, parts.clock**2])[:, None], substeps)
         timed = parts.timed.tables(test.signals, substeps)
         raw = step_through(steps, substeps, parts.coordinates, model, parts.force_factor, parts.tables, timed=timed)
-        return recorded(raw, parts, self._own, rate)
+        return recorded(raw, parts, self._places, rate)
 
 
 def free_model(parts: RigParts, settings: PredictionSettings) -> LinearModel:

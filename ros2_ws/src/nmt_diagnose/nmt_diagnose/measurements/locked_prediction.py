@@ -140,10 +140,9 @@ class PeriodicLevels(Predictor):
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
-        self.setup, self.basis = setup, setup.basis
-        index = setup.index(self.channels)
-        self._own = index
-        self._force, self._response = index[self.force], index[self.response]
+        super().use(setup)
+        self.basis, self._row_of = setup.basis, setup.index(self.channels)
+        self._force, self._response = self._row_of[self.force], self._row_of[self.response]
         self._voltages = [i for i, channel in enumerate(setup.channels) if channel.quantity == Quantity.VOLTAGE]
 
     def _problem(self, position: int) -> LevelProblem:
@@ -242,7 +241,7 @@ class PeriodicLevels(Predictor):
         """Arguments of the kernel behind the unknowns."""
         held = {DRIVE_HELD: DRIVE_HELD, FORCE_HELD: self._force}.get(level.held_channel)
         closing = Closing(
-            LOCKED, self._own[level.held_channel] if held is None else held, self._force, self._response, self.power
+            LOCKED, self._row_of[level.held_channel] if held is None else held, self._force, self._response, self.power
         )
         return closing, target_rows(amplitude, level.phase), self._drive(parts, level, amplitude), parts.kernel_tables
 
@@ -288,7 +287,7 @@ class PeriodicLevels(Predictor):
         omega = measured if omega is None else omega
         w, channels = self._linear(parts, omega, drive)
         if not held_channel:
-            index = self._force if level.held_channel == FORCE_HELD else self._own[level.held_channel]
+            index = self._force if level.held_channel == FORCE_HELD else self._row_of[level.held_channel]
             size = abs(channels[index])
             amplitude = amplitude / size if size > 0.0 else amplitude
         r, size = parts.coordinates, self.basis.size
@@ -338,7 +337,7 @@ class PeriodicLevels(Predictor):
 
     def own_row(self, channel: int) -> int:
         """Row of a channel of the test."""
-        return self._own[channel]
+        return self._row_of[channel]
 
     def gains(self, parts: RigParts, s: complex) -> ComplexArray:
         """Complex gains of all sensors (c,)."""
@@ -482,8 +481,8 @@ class PhaseResonancePredictor(PeriodicLevels):
                 for row in self._voltages:
                     terms = np.array([self._terms(position, exciter_of(parts.sections[row])) for position in positions])
                     channels[:, row] = drives[:, None] * parts.channels[row, 0] * terms
-            before_converter = channels[:, self._own]
-            recorded[positions] = recorded_harmonics(before_converter, parts.limits[self._own], self.basis)
+            before_converter = channels[:, self._row_of]
+            recorded[positions] = recorded_harmonics(before_converter, parts.limits[self._row_of], self.basis)
         if self.ideal_force:
             # Without a known drive the phases refer to the measured force.
             turn = np.angle(recorded[:, self.force, self.basis.fundamental])

@@ -200,15 +200,10 @@ class RandomPredictor(Predictor):
         rate = test.drive_hold_hz
         self._held_hz = rate if math.isfinite(rate) and test.reference == "voltage" else None
 
-    def use(self, setup: Setup) -> None:
-        """Take the parts of rigs from a setup that other tests share."""
-        self.setup = setup
-        self._own = np.array(setup.index(self.channels), dtype=np.int64)
-
     @property
     def channel_rows(self) -> NDArray[np.int64]:
         """Rows of the test's channels and of the reference among the outputs of the linear model's channels."""
-        return self._own
+        return self._places
 
     def gain(self, parts: RigParts, row: int, s: complex) -> complex:
         """Complex gain of one sensor."""
@@ -277,7 +272,7 @@ class RandomPredictor(Predictor):
     def _fractions(self, parts: RigParts) -> Fractions:
         """Partial fractions of the local coordinates and of the test's channels."""
         return parts.linear.partial_fractions(
-            np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._own))
+            np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._places))
         )
 
     def _plain(
@@ -292,13 +287,13 @@ class RandomPredictor(Predictor):
         ``local`` are stiffness and damping of the local forces, ``fractions`` the partial fractions of the local
         coordinates and of the channels.
         """
-        r, omega, chains = parts.coordinates, 2.0 * np.pi * frequencies * parts.clock, parts.channels[self._own]
+        r, omega, chains = parts.coordinates, 2.0 * np.pi * frequencies * parts.clock, parts.channels[self._places]
         if self._held_hz is None:
             tables = tuple(fractions.of_inputs(parts.linear.inputs.shape[1], r + 1))
             h = linear_responses(omega, r, *local, tables, chains)
         else:
             interval = 1.0 / (self._held_hz * parts.clock)
-            h = held_responses(parts.linear, r, *local, self._own, omega, interval) * sensor_gains(omega, chains)
+            h = held_responses(parts.linear, r, *local, self._places, omega, interval) * sensor_gains(omega, chains)
         h *= parts.input_per_volt[0]
         if self.test.reference == "base":  # 1 V is this acceleration of the base
             h[:, -1] *= parts.input_per_volt[0]

@@ -162,9 +162,8 @@ class RingDownPredictor(Predictor):
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other tests share."""
-        self.setup = setup
-        self._places = setup.index(self.channels)
-        self._own = self._places[0]
+        super().use(setup)
+        self._given = int(self._places[0])
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[PeriodicState | None, ...] | None) -> list[Any]:
         """One state per amplitude; None where none was found."""
@@ -228,7 +227,7 @@ class RingDownPredictor(Predictor):
 
     def _arguments(self, parts: RigParts, z: FloatArray, amplitudes: FloatArray) -> tuple[Any, ...]:
         """Arguments of the kernel behind the unknowns (levels, nz)."""
-        closing = Closing(FREE, self._own)
+        closing = Closing(FREE, self._given)
         return closing, free_rows(z, amplitudes, closing, parts.kernel_tables), parts.first_input, parts.kernel_tables
 
     def _continued(
@@ -277,9 +276,9 @@ class RingDownPredictor(Predictor):
             return None
         s = pole * (1.0 + 1e-5)
         w, outputs = resting_response(s, *tangents, parts.first_input[basis.fundamental], parts.kernel_tables)
-        gain, _ = sensor_gain(1j * s.imag, parts.channels[self._own])
+        gain, _ = sensor_gain(1j * s.imag, parts.channels[self._given])
         amplitudes = np.zeros((parts.coordinates, basis.orders.size), dtype=np.complex128)
-        amplitudes[:, basis.fundamental] = w / outputs[self._own] * amplitude / abs(gain)
+        amplitudes[:, basis.fundamental] = w / outputs[self._given] * amplitude / abs(gain)
         return np.concatenate((basis.to_real(amplitudes).ravel(), [s.imag, -s.real / s.imag]))
 
     @staticmethod

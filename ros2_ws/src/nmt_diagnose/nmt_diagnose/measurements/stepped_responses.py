@@ -259,11 +259,6 @@ class SteppedSinePredictor(Predictor):
         basis = FourierBasis.up_to(1 if test.imposed else HARMONICS)
         self.use(Setup(test.drive_points, test.reference == "force", self.channels, basis))
 
-    def use(self, setup: Setup) -> None:
-        """Take the parts of rigs from a setup that other tests share."""
-        self.setup = setup
-        self._own = np.array(setup.index(self.channels), dtype=np.int64)
-
     @property
     def levels(self) -> tuple[SteppedResponses, ...]:
         """One set of lines."""
@@ -313,7 +308,7 @@ class SteppedSinePredictor(Predictor):
         along = inverses[:, :, local] * self.amplitudes[:, None]
         change = along[:, local] + 1j * along[:, local + 1]
         if self.test.reference == "force":
-            change = np.einsum("lk,lk->l", slopes[:, self._own[-1], 0], along)
+            change = np.einsum("lk,lk->l", slopes[:, self._places[-1], 0], along)
         elif self.test.reference == "voltage":
             change = change / parts.input_per_volt[0]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -367,7 +362,7 @@ class SteppedSinePredictor(Predictor):
 
     @property
     def _closing(self) -> Closing:
-        return Closing(DRIVEN, int(self._own[0]))
+        return Closing(DRIVEN, int(self._places[0]))
 
     def _targets(self, parts: RigParts) -> FloatArray:
         return target_rows(self.amplitudes, omega=2.0 * np.pi * self.test.lines_hz * parts.clock)
@@ -377,13 +372,13 @@ class SteppedSinePredictor(Predictor):
     ) -> tuple[ComplexArray, ComplexArray]:
         """Responses (lines, channels) over the reference, and the reference (lines,)."""
         if self.test.reference == "force":
-            reference = values[:, self._own[-1], 0]
+            reference = values[:, self._places[-1], 0]
         else:
             reference = z[:, -2] + 1j * z[:, -1]
             if self.test.reference == "voltage":
                 reference = reference / parts.input_per_volt[0]
         with np.errstate(divide="ignore", invalid="ignore"):
-            return values[:, self._own[: len(self.test.channels)], 0] / reference[:, None], reference
+            return values[:, self._places[: len(self.test.channels)], 0] / reference[:, None], reference
 
 
 def force_channel(test: SteppedResponses) -> MeasuredChannel:

@@ -14,6 +14,7 @@ from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_rig.rig import Rig
 
 if TYPE_CHECKING:
+    from nmt_diagnose.measurements.channel import MeasuredChannel
     from nmt_diagnose.observations.observables import Rows
 
 
@@ -23,16 +24,19 @@ class Predictor:
     Attributes:
         SOLUTION: what there is one of at each level.
         rows: the rows.
-        setup: what it shares with other measurements.
+        channels: of the measurement.
+        setup: what it shares with other measurements; ``_places`` are those of the channels in it.
     """
 
     SOLUTION: ClassVar[str] = "phase-resonant solution"
     rows: Rows
+    channels: tuple[MeasuredChannel, ...]
     setup: Setup
 
     def use(self, setup: Setup) -> None:
         """Take the parts of rigs from a setup that other measurements share."""
-        raise NotImplementedError
+        self.setup = setup
+        self._places = np.array(setup.index(self.channels), dtype=np.int64)
 
     def solve(self, rig: Rig, cache: PartsCache, start: tuple[Any, ...] | None) -> list[Any] | None:
         """One solution per level, from those of a similar rig; None where the values follow at once."""

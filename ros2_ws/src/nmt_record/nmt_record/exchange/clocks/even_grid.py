@@ -101,7 +101,7 @@ def even_grid(
         if not 1 <= stretch <= len(stretches):
             raise BenchError(f"{name} has {len(stretches)} stretches; there is no stretch {stretch}.")
         stretches = [stretches[stretch - 1]]
-    step = _common_step(stretches, time, name, clock)
+    step, std = _common_step(stretches, time, name, clock)
     first = stretches[0]
     places = [round((one.start - first.start) / step) for one in stretches]
     for number in range(1, len(places)):  # one sample at least is missing between two
@@ -131,7 +131,6 @@ def even_grid(
             notes.append(f"{ahead}; the signals are smoother by their stamps and were interpolated at even times.")
         else:
             notes.append(f"{ahead}; the signals are smoother at even times, so the stamps give the rate only.")
-    std = _rate_std(stretches, time, step)
     if scatter > _EVEN * step:
         notes.append(f"The rate of {name} is known to {100 * std:.2g} %.")
     ends = tuple((place, place + int(one.index[-1]) + 1) for place, one in zip(places, stretches, strict=True))
@@ -279,19 +278,13 @@ def _recounted(t: FloatArray, missing: IntArray, width: int) -> IntArray:
     return index
 
 
-def _common_step(stretches: Sequence[_Stretch], time: FloatArray, name: str, clock: str) -> float:
-    """Step of all stretches, s.
+def _common_step(stretches: Sequence[_Stretch], time: FloatArray, name: str, clock: str) -> tuple[float, float]:
+    """Step of all stretches, s, and its relative standard uncertainty.
 
     Raises:
         BenchError: they have different ones.
     """
-    top = bottom = 0.0
-    for one in stretches:
-        centred = one.index - one.index.mean()
-        t = time[one.part]
-        top += float((centred * (t - t.mean())).sum())
-        bottom += float((centred * centred).sum())
-    step = top / bottom
+    step, std = common_slope([(one.index, time[one.part]) for one in stretches])
     other = max(stretches, key=lambda one: abs(one.step / step - 1.0))
     unsure = math.sqrt(12.0 / other.index.size) * other.scatter / (other.step * other.index.size)
     if len(stretches) > 1 and abs(other.step / step - 1.0) > max(_OTHER_RATE, 5.0 * unsure):
@@ -300,22 +293,24 @@ def _common_step(stretches: Sequence[_Stretch], time: FloatArray, name: str, clo
             f"The stretches of {name} have different rates by its {clock} ({rates} Hz); say which one it is: "
             f"'stretch: 1' to 'stretch: {len(stretches)}'."
         )
-    return step
+    return step, std / step
 
 
-def _rate_std(stretches: Sequence[_Stretch], time: FloatArray, step: float) -> float:
-    """Relative standard uncertainty of the step by the scatter of the stamps, that which varies slowly too."""
-    bottom = scatter = 0.0
-    count, slow = 0, 0.0
-    for one in stretches:
-        centred = one.index - one.index.mean()
-        residual = time[one.part] - one.start - one.step * one.index
-        bottom += float((centred * centred).sum())
-        scatter += float((residual * residual).sum())
-        count += one.index.size
-        means = [float(part.mean()) for part in np.array_split(residual, min(8, max(1, one.index.size // 2)))]
-        slow = max(slow, float(np.std(means)) * math.sqrt(one.index.size / len(means)))
-    return max(math.sqrt(scatter / count), slow) / math.sqrt(bottom) / step
+def common_slope(parts: Sequence[tuple[FloatArray | IntArray, FloatArray]]) -> tuple[float, float]:
+    """Slope that lines through the points of each part share, NaN without one, and its standard uncertainty by their
+    scatter, that which varies slowly too."""
+    centred = [(x - x.mean(), y - y.mean()) for x, y in parts]
+    top, bottom = (sum(float(x @ values) for x, values in pairs) for pairs in (centred, [(x, x) for x, _ in centred]))
+    if not bottom > 0.0 or not top > 0.0:
+        return math.nan, math.inf
+    slope = top / bottom
+    scatter, count, slow = 0.0, 0, 0.0
+    for x, y in centred:
+        residual = y - slope * x
+        scatter, count = scatter + float(residual @ residual), count + x.size
+        means = [float(piece.mean()) for piece in np.array_split(residual, min(8, max(1, x.size // 2)))]
+        slow = max(slow, float(np.std(means)) * math.sqrt(x.size / len(means)))
+    return slope, max(math.sqrt(scatter / max(count - 2, 1)), slow) / math.sqrt(bottom)
 
 
 def _note_missing(stretches: Sequence[_Stretch], time: FloatArray, name: str, clock: str, notes: list[str]) -> None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray, IntArray
-from nmt_record.exchange.clocks.even_grid import usual_step
+from nmt_record.exchange.clocks.even_grid import common_slope, usual_step
 
 _TIME_FIELD = re.compile(r"time|stamp|clock|tick|micros|millis|usec|nsec|(^|_)t(_|$)|(^|_)(sec|secs|ms|us|ns)$", re.I)
 _SURELY_TIME = re.compile(r"time|stamp|clock", re.I)
@@ -321,30 +321,14 @@ def _continued(clock: JudgedClock, logged: IntArray | None) -> None:
 def _ratio_of(clock: JudgedClock, logged: IntArray) -> tuple[float, float, bool]:
     """Seconds of the log times in a second of a clock, their standard uncertainty, and whether they agree."""
     edges = [0, *clock.breaks, clock.rows.size]
-    top = bottom = scatter = 0.0
-    count = 0
-    parts = []
-    for first, stop in itertools.pairwise(edges):
-        if stop - first < 4:
-            continue
-        x = (clock.time[first:stop] - clock.time[first]) * 1e-9
-        y = (logged[clock.rows[first:stop]] - logged[clock.rows[first]]) * 1e-9
-        x, y = x - x.mean(), y - y.mean()
-        parts.append((x, y))
-        top, bottom = top + float(x @ y), bottom + float(x @ x)
-    if not bottom > 0.0 or not top > 0.0:
-        return math.nan, math.inf, True
-    ratio = top / bottom
-    batch = 0.0
-    for x, y in parts:
-        residual = y - ratio * x
-        scatter += float(residual @ residual)
-        count += x.size
-        means = [float(piece.mean()) for piece in np.array_split(residual, min(8, x.size // 2))]
-        batch = max(batch, float(np.std(means)) * math.sqrt(x.size / len(means)))  # what varies slowly
-    white = math.sqrt(scatter / max(count - 2, 1))
-    std = max(white, batch) / math.sqrt(bottom)
-    return ratio, std, abs(ratio - 1.0) < max(_SAME_RATE, _CERTAIN * std)
+    times = logged[clock.rows]
+    parts = [
+        ((clock.time[first:stop] - clock.time[first]) * 1e-9, (times[first:stop] - times[first]) * 1e-9)
+        for first, stop in itertools.pairwise(edges)
+        if stop - first >= 4
+    ]
+    ratio, std = common_slope(parts)
+    return ratio, std, math.isnan(ratio) or abs(ratio - 1.0) < max(_SAME_RATE, _CERTAIN * std)
 
 
 def _ratio(one: JudgedClock, other: JudgedClock, logged: IntArray) -> tuple[float, float, bool]:

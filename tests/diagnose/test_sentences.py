@@ -28,8 +28,8 @@ def test_no_gap_names_parameters_that_moved_by_many_of_their_uncertainties() -> 
 
 
 def test_an_effect_is_told_beside_the_model_as_it_was_given() -> None:
-    assert "from 86.37 to 5.20" in said(Verdict.EFFECT)
-    assert "The model as it was given stands at 57.66." in said(Verdict.EFFECT)
+    assert "from 86.37 with re-fitted parameters alone to 5.20" in said(Verdict.EFFECT)
+    assert "The model as given leaves 57.66." in said(Verdict.EFFECT)
 
 
 def test_parameters_that_predict_worse_close_no_share_of_a_gap() -> None:

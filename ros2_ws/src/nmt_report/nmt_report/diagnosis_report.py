@@ -38,6 +38,7 @@ from nmt_report.diagnosis_words import (
     probability_text,
     rest_text,
     sigma_text,
+    smallest_text,
     verdict_text,
 )
 from nmt_report.html_page import PageColumn, Row, Table, part
@@ -521,7 +522,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
         tables.append(Table(columns, [Row(cells) for cells in tests], heading="Tests found in them"))
     if d.visible:
         weakest = [
-            (effect_text(v.effect), place_text(v.place, v.detail), parameters_text(v.parameters)) for v in d.visible
+            (effect_text(v.effect), place_text(v.place, v.detail), smallest_text(v.parameters)) for v in d.visible
         ]
         columns = (
             PageColumn("Effect", kind="text"), PageColumn("Where it would show first", kind="text wrap"),

@@ -20,6 +20,7 @@ from nmt_report.diagnosis_words import (
     probability_text,
     rest_text,
     sigma_text,
+    smallest_text,
 )
 from nmt_report.quantity_format import plain
 
@@ -151,7 +152,7 @@ def visible_table(diagnosis: Diagnosis) -> Table | None:
     for item in diagnosis.visible:
         table.add_row(
             Text(effect_text(item.effect)), Text(place_text(item.place, item.detail)),
-            Text(parameters_text(item.parameters)),
+            Text(smallest_text(item.parameters)),
         )  # fmt: skip
     return table
 
@@ -159,7 +160,7 @@ def visible_table(diagnosis: Diagnosis) -> Table | None:
 def visible_sentence(diagnosis: Diagnosis) -> str:
     """How many effects these recordings would show, with the first as an example."""
     item, count = diagnosis.visible[0], len(diagnosis.visible)
-    example = f"{effect_text(item.effect)} from {parameters_text(item.parameters)}"
+    example = f"{effect_text(item.effect)} from {smallest_text(item.parameters)}"
     return (
         f"These recordings would show {count} effect{'s' * (count > 1)}, such as {example} at "
         f"{place_text(item.place, item.detail)}; the report and --verbose list the weakest of each."

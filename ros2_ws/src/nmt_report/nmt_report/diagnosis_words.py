@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from nmt_core.errors import BenchError
 from nmt_core.text.number_words import percent, plain, share_with_interval, value_text
@@ -170,6 +171,11 @@ def parameters_text(parameters: Mapping[str, Value]) -> str:
         label, _, own = name.rpartition(".") if "@" in name or "." in name else ("", "", name)
         groups.setdefault(label, []).append(f"{own} = {value_text(v.value, v.std, v.unit)}")
     return "; ".join((f"{_label_text(label)}: " if label else "") + ", ".join(items) for label, items in groups.items())
+
+
+def smallest_text(parameters: Mapping[str, Value]) -> str:
+    """The smallest parameters that would show, two digits each."""
+    return parameters_text({name: replace(v, value=float(f"{v.value:.1e}")) for name, v in parameters.items()})
 
 
 def _label_text(label: str) -> str:

@@ -160,5 +160,5 @@ def _neighbours(
         if count > 10:
             z = total / np.sqrt(count)
             name = channel_name(observations, number, int(channel))
-            result.append(ResidualTest("likeness of neighbouring lines", name, z, 0, float(ndtr(-z))))
+            result.append(ResidualTest("correlation of neighbouring lines", name, z, 0, float(ndtr(-z))))
     return result

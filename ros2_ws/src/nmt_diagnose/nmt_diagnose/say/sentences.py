@@ -79,7 +79,7 @@ def sentences(
             "The gap lies in parameters that the model already has.",
             f"{small or 'No unmodelled effect is needed.'} {_common_factor(calibration)}The parameters that moved most "
             f"relative to their uncertainty: {_farthest(calibration)}.",
-            _how_far(gap, "Re-fitting them"),
+            _how_far(gap, "Re-fitting them", "as given"),
         )
     place = where_words(where)
     if verdict is Verdict.UNKNOWN:
@@ -104,7 +104,10 @@ def sentences(
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     which += place_words(head)
     which += _with_second(ranking)
-    far = _how_far(gap, "Adding it") + f" The model as it was given stands at {gap.as_given:.2f}."
+    far = (
+        _how_far(gap, "Adding it", "with re-fitted parameters alone")
+        + f" The model as given leaves {gap.as_given:.2f}."
+    )
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
 
 
@@ -250,7 +253,7 @@ def where_words(where: Sequence[PlaceShare]) -> str:
     return text + "."
 
 
-def _how_far(gap: Gap, what: str) -> str:
+def _how_far(gap: Gap, what: str, before: str) -> str:
     if not math.isfinite(gap.closed):
         return (
             f"{what} takes the fit from {gap.before:.2f} to {gap.after:.2f} standard deviations (rms; 1 is what "
@@ -265,8 +268,8 @@ def _how_far(gap: Gap, what: str) -> str:
     closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
     interval = f" (90 % interval {limits})" if limits else ""
     return (
-        f"{what} closes {closed} of the gap on data held out from the fit{interval}: from "
-        f"{gap.before:.2f} to {gap.after:.2f} standard deviations rms, where scatter alone leaves {gap.floor:.2f}."
+        f"{what} closes {closed} of the gap on data held out from the fit{interval}. Their residual falls from "
+        f"{gap.before:.2f} {before} to {gap.after:.2f} standard deviations rms; scatter alone leaves {gap.floor:.2f}."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 

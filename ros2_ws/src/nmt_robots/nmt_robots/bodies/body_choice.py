@@ -193,9 +193,9 @@ class BodyEvidence:
             middle = np.concatenate([middle, [np.log(start), 0.0, 0.0, 0.0]])
         free = spread > 0.0
         x = np.zeros(len(spread))
-        cost, slopes, left = self._at(explanation, white, middle + spread * x, x)
+        cost, left = self._at(explanation, white, middle, x)
         for _ in range(_STEPS):
-            scaled = slopes[:, free] * spread[free]
+            scaled = self._slopes(explanation, white, middle + spread * x)[:, free] * spread[free]
             matrix = scaled.T @ scaled + np.eye(scaled.shape[1])
             step = np.linalg.solve(matrix, scaled.T @ left - x[free])
             step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-12))
@@ -208,10 +208,10 @@ class BodyEvidence:
             else:
                 break
             settled = cost - result[0] < _SETTLED
-            x, (cost, slopes, left) = trial, result
+            x, (cost, left) = trial, result
             if settled:
                 break
-        scaled = slopes[:, free] * spread[free]
+        scaled = self._slopes(explanation, white, middle + spread * x)[:, free] * spread[free]
         matrix = scaled.T @ scaled + np.eye(scaled.shape[1])
         sign, size = np.linalg.slogdet(matrix)
         std = np.zeros(len(spread))
@@ -249,13 +249,14 @@ class BodyEvidence:
     def _end(self, link: int) -> Array:
         return self.shapes[link].centre
 
-    def _at(
-        self, explanation: BodyExplanation, white: Whitened, numbers: Array, pulls: Array
-    ) -> tuple[float, Array, Array]:
-        """Cost, slopes of the whitened rows and what they leave."""
-        change = self.change(explanation, numbers)
-        left = white.moment - white.triangle @ change
-        slopes = np.zeros((len(left), len(numbers)))
+    def _at(self, explanation: BodyExplanation, white: Whitened, numbers: Array, pulls: Array) -> tuple[float, Array]:
+        """Cost, and what the whitened rows leave."""
+        left = white.moment - white.triangle @ self.change(explanation, numbers)
+        return float(left @ left + pulls @ pulls), left
+
+    def _slopes(self, explanation: BodyExplanation, white: Whitened, numbers: Array) -> Array:
+        """Of the whitened rows by each number."""
+        slopes = np.zeros((len(white.moment), len(numbers)))
         for link, shape in enumerate(self.shapes):
             part = slice(SHAPE * link, SHAPE * (link + 1))
             slopes[:, part] = white.triangle[:, part] @ shape.slopes(numbers[part])
@@ -268,7 +269,7 @@ class BodyEvidence:
                 step[self._size + place] = 1e-5
                 slope = (self.payload(link, numbers + step) - self.payload(link, numbers - step)) / 2e-5
                 slopes[:, self._size + place] = white.triangle[:, part] @ slope
-        return float(left @ left + pulls @ pulls), slopes, left
+        return slopes
 
     def effect(self, change: Array) -> Array:
         """J: torque that a change of the parameters makes, rms over that of the joint."""

@@ -34,27 +34,28 @@ class BodyShape:
         sizes, axes = np.linalg.eigh(spread)
         least = self.mass * (_SMALLEST * length) ** 2
         self._spread = (axes * np.maximum(sizes, least)) @ axes.T
+        self._in_file = self._parameters(np.zeros(SHAPE))
 
     def change(self, numbers: Array) -> Array:
         """By how much the ten parameters differ from those of the numbers zero."""
-        return self._parameters(numbers) - self._parameters(np.zeros(SHAPE))
+        return self._parameters(numbers) - self._in_file
 
     def slopes(self, numbers: Array) -> Array:
         """10 × 10: parameters per unit of each number."""
         factor = float(np.exp(numbers[0]))
         centre, map_ = self.centre + numbers[1:4], _map(numbers)
-        mass = self.mass * factor
-        found = np.empty((10, SHAPE))
-        found[:, 0] = self._parameters(numbers)
-        for axis, unit in enumerate(np.eye(3)):
-            second = mass * (np.outer(unit, centre) + np.outer(centre, unit))
-            found[:, 1 + axis] = _packed(0.0, mass * unit, second)
-        half = self._spread @ map_.T
-        for place, (row, column) in enumerate(zip(*_UPPER, strict=True)):
-            part = np.zeros((3, 3))
-            part[row] = factor * half[column]
-            found[:, 4 + place] = _packed(0.0, np.zeros(3), part + part.T)
-        return found
+        mass, spread = self.mass * factor, factor * map_ @ self._spread @ map_.T
+        second, first, masses = np.zeros((SHAPE, 3, 3)), np.zeros((SHAPE, 3)), np.zeros(SHAPE)
+        masses[0], first[0], second[0] = mass, mass * centre, spread + mass * np.outer(centre, centre)
+        axes = np.arange(3)
+        first[1 + axes, axes] = mass
+        second[1 + axes, axes] += mass * centre
+        second[1 + axes, :, axes] += mass * centre
+        rows, columns = _UPPER
+        stretched = (factor * self._spread @ map_.T)[columns]
+        second[4 + np.arange(6), rows] += stretched
+        second[4 + np.arange(6), :, rows] += stretched
+        return np.vstack([masses, first.T, _inertia(second)])
 
     def _parameters(self, numbers: Array) -> Array:
         mass, centre, spread = self.moved(numbers)
@@ -93,5 +94,10 @@ def _map(numbers: Array) -> Array:
 
 def _packed(mass: float, first: Array, second: Array) -> Array:
     """Ten parameters of mass, first moments and Σ m r rᵀ about the origin."""
-    inertia = np.trace(second) * np.eye(3) - second
-    return np.array([mass, *first, *inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
+    return np.concatenate([[mass], first, _inertia(second)])
+
+
+def _inertia(second: Array) -> Array:
+    """Six numbers of the inertia of Σ m r rᵀ, of one (3 × 3) or of N (N × 3 × 3, then 6 × N)."""
+    squares = second[..., [0, 1, 2], [0, 1, 2]].T
+    return np.concatenate([np.sum(squares, axis=0) - squares, -second[..., [0, 0, 1], [1, 2, 2]].T])

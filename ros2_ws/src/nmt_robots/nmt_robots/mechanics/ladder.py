@@ -401,17 +401,21 @@ def never_negative(effects: list[JointEffect]) -> Array:
     return np.concatenate([[effect.never_negative] * effect.parameters for effect in effects]).astype(bool)
 
 
-def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechanics | None = None) -> JointMechanics:
+def explain(
+    problem: JointProblem, in_model: dict[str, float], kept: JointMechanics | None = None,
+    without: frozenset[str] = frozenset(),
+) -> JointMechanics:  # fmt: skip
     """The usual effects with their values, and the causes that the joint needs.
 
     Args:
         problem: one joint.
         in_model: values of the usual effects in the model, by key.
         kept: mechanics under another reading, whose causes are taken without asking.
+        without: keys that are no cause.
     """
     space = problem.space(in_model)
     if kept is None:
-        chosen, names = _asked(problem, space)
+        chosen, names = _asked(problem, space, without)
         choice = JointChoice(
             tuple(key for key, _ in names), tuple(key for _, key in chosen.instead),
             {key: chosen.probability(("", key)) for key, _ in names},
@@ -432,9 +436,9 @@ def explain(problem: JointProblem, in_model: dict[str, float], kept: JointMechan
     )  # fmt: skip
 
 
-def _asked(problem: JointProblem, space: Space) -> tuple[Chosen, list[tuple[str, str]]]:
+def _asked(problem: JointProblem, space: Space, without: frozenset[str]) -> tuple[Chosen, list[tuple[str, str]]]:
     """The choice, and keys and shapes of its causes; what is not credible where all is free is not asked again."""
-    library = space.columns()
+    library = [item for item in space.columns() if item.term not in without]
     while True:
         chosen = Choice(space).grow(library, _CAUSES_AT_MOST, _ALIKE)
         names, effects, refused = [(cause.term, cause.variant) for cause in chosen.causes], list(problem.usual), set()
@@ -516,7 +520,7 @@ def _alike(problem: JointProblem, effects: list[JointEffect], effect: JointEffec
         cosine = _cosine(basis, direction, problem.columns([rival]))
         if cosine > max(THRESHOLDS.alike, found.get(rival.words, 0.0)):
             found[rival.words] = cosine
-    return found
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 def _span(columns: Array) -> Array:

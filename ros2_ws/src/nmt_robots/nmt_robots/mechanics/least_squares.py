@@ -61,12 +61,37 @@ def solve_normal(gram: Array, moment: Array, never_negative: Array) -> tuple[Arr
         free[worst] = False
 
 
+def solve_many(gram: Array, moments: Array, never_negative: Array) -> Array:
+    """Coefficients of M right-hand sides of the same normal equations, K × M."""
+    count = len(gram)
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    gram, moments = gram / np.outer(scale, scale), moments / scale[:, None]
+    values = np.zeros(moments.shape)
+    # Right-hand sides with the same coefficients held at zero are solved together.
+    waiting = {(): np.arange(moments.shape[1])}
+    while waiting:
+        held, columns = waiting.popitem()
+        free = np.setdiff1d(np.arange(count), held)
+        if free.size:
+            values[np.ix_(free, columns)] = solve_scaled(
+                gram[np.ix_(free, free)], moments[np.ix_(free, columns)], 1e-10
+            )
+        wrong = (values[:, columns] < 0.0) & never_negative[:, None]
+        worst = np.argmin(np.where(wrong, values[:, columns], np.inf), axis=0)
+        for number in np.unique(worst[np.any(wrong, axis=0)]):
+            some = columns[(worst == number) & np.any(wrong, axis=0)]
+            values[:, some] = 0.0
+            more = tuple(sorted((*held, int(number))))
+            waiting[more] = np.append(waiting.get(more, np.empty(0, dtype=int)), some)
+    return values / scale[:, None]
+
+
 def solve_scaled(gram: Array, moment: Array, least: float) -> Array:
-    """Solution of normal equations with a diagonal of ones, K; the shortest where columns are alike.
+    """Solution of normal equations with a diagonal of ones, as the moment; the shortest where columns are alike.
 
     Args:
         gram: K × K.
-        moment: K.
+        moment: K, or K × M.
         least: singular values below this share of the largest count as none.
     """
     factor, failed = dpotrf(gram, lower=1)

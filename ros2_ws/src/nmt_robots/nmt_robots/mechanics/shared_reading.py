@@ -8,7 +8,7 @@ import numpy as np
 
 from nmt_robots.log.joint_log import Array
 from nmt_robots.mechanics.columns import usual_effects
-from nmt_robots.mechanics.least_squares import solve_normal
+from nmt_robots.mechanics.least_squares import solve_many
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import LONGEST_S, DriveTorque, Reading
 from nmt_robots.thresholds import THRESHOLDS
@@ -16,6 +16,8 @@ from nmt_robots.thresholds import THRESHOLDS
 _GROUPS = 4
 _EARLY_S, _EXPLAINS_MOST = 0.005, 0.3
 """Time by which something may be early as anything else, s; squared residual it needs beyond, against that without."""
+_AT_ONCE = 32
+"""Readings whose torques are held at a time."""
 _OTHER_KIND = 4.0
 """Squared residual against that of the best up to which a reading of the other kind still widens every ±."""
 
@@ -155,10 +157,11 @@ def compare_readings(motion: Motion, drive: DriveTorque, derived: bool = False) 
     sides = [_Sides(motion, int(joint)) for joint in joints]
     by_joint = np.full((len(readings), motion.q.shape[1]), np.nan)
     groups = np.full((len(readings), _GROUPS, len(joints)), np.nan)
-    for number, reading in enumerate(readings):
-        torque = motion.smooth_twice(drive.torque(reading))
+    for first in range(0, len(readings), _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        torques = np.stack([motion.smooth_twice(drive.torque(reading)) for reading in readings[some]], axis=-1)
         for place, joint in enumerate(joints):
-            by_joint[number, joint], groups[number, :, place] = sides[place].scores(torque[:, joint])
+            by_joint[some, joint], groups[some, :, place] = sides[place].scores(torques[:, joint])
     pooled, grouped = np.nanmean(by_joint, axis=1), np.nanmean(groups, axis=2)
     return ReadingScores(tuple(readings), pooled, grouped, by_joint, motion.step_s)
 
@@ -176,16 +179,19 @@ class _Sides:
         self._columns = [columns[numbers] for numbers in self._groups]
         self._grams = [part.T @ part for part in self._columns]
 
-    def scores(self, torque: Array) -> tuple[float, Array]:
-        """Relative residual on seconds left out of the fit: of all, and of each group."""
-        left = torque - self._rigid
+    def scores(self, torques: Array) -> tuple[Array, Array]:
+        """Relative residual on seconds left out of the fit, for each of R torques (N × R): of all, R, and of each
+        group, R × G.
+        """
+        left = torques - self._rigid[:, None]
         parts = [left[numbers] for numbers in self._groups]
-        moments = [part @ column for part, column in zip(parts, self._columns, strict=True)]
-        gram, moment = sum(self._grams), sum(moments)
-        lost, size = np.zeros(_GROUPS), np.zeros(_GROUPS)
+        moments = [column.T @ part for part, column in zip(parts, self._columns, strict=True)]
+        gram, moment = np.sum(self._grams, axis=0), np.sum(moments, axis=0)
+        lost, size = np.zeros((2, torques.shape[1], _GROUPS))
         for group, numbers in enumerate(self._groups):
-            values, _, _ = solve_normal(gram - self._grams[group], moment - moments[group], self._never)
-            leftover = parts[group] - self._columns[group] @ values
-            lost[group] = float(leftover @ leftover)
-            size[group] = float(np.sum((torque[numbers] - np.mean(torque[numbers])) ** 2)) if len(numbers) else 0.0
-        return float(np.sum(lost) / max(np.sum(size), 1e-300)), lost / np.maximum(size, 1e-300)
+            if not len(numbers):
+                continue
+            values = solve_many(gram - self._grams[group], moment - moments[group], self._never)
+            lost[:, group] = np.sum((parts[group] - self._columns[group] @ values) ** 2, axis=0)
+            size[:, group] = len(numbers) * np.var(torques[numbers], axis=0)
+        return np.sum(lost, axis=1) / np.maximum(np.sum(size, axis=1), 1e-300), lost / np.maximum(size, 1e-300)

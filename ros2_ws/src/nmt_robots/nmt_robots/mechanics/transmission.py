@@ -18,7 +18,7 @@ import numpy as np
 from nmt_core.numerics.kernels import njit
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.mechanics.columns import usual_effects
-from nmt_robots.mechanics.least_squares import solve_normal
+from nmt_robots.mechanics.least_squares import solve_many
 from nmt_robots.mechanics.motion import Motion, smoothed
 from nmt_robots.model.robot_model import RobotModel
 from nmt_robots.thresholds import THRESHOLDS
@@ -27,6 +27,8 @@ _STEP_S = 5e-4
 _SLOWEST, _FASTEST = 2.0 * np.pi * 3.0, 2.0 * np.pi * 100.0
 """Natural frequencies of the link behind its transmission that are searched for, rad/s."""
 _NARROWED = 2
+_HOPELESS = 0.8
+"""Torque left by the best of a coarse grid against that of the rigid bodies, above which no finer one halves it."""
 _LONG_S = 0.06
 _AS_WELL = 1.5
 """Squares of a reading against those of the best, up to which its value widens the ±."""
@@ -80,17 +82,20 @@ class LinkBehindTransmission:
         log: with the angles of the motors.
         motion: of all joints.
         joint: number of the column.
+        bodies: rows × joints, N·m, unfiltered: torque of the bodies at rest and in motion.
     """
 
-    def __init__(self, model: RobotModel, log: JointLog, motion: Motion, joint: int) -> None:
+    def __init__(
+        self, model: RobotModel, log: JointLog, motion: Motion, joint: int, bodies: tuple[Array, Array]
+    ) -> None:
         self.motion, self.joint = motion, joint
         names, still = log.joints, np.zeros_like(motion.q)
         unit, turned = still.copy(), motion.q.copy()
         unit[:, joint] = 1.0
         turned[:, joint] += 1e-4
-        at_rest = model.torque(names, motion.q, still, still)[:, joint]
+        at_rest, moving = (torque[:, joint] for torque in bodies)
         inertia = model.torque(names, motion.q, still, unit)[:, joint] - at_rest
-        needed = model.torque(names, motion.q, motion.v, motion.a)[:, joint] - inertia * motion.a[:, joint]
+        needed = moving - inertia * motion.a[:, joint]
         change = (model.torque(names, turned, still, still)[:, joint] - at_rest) / 1e-4
         self.inertia = float(np.median(inertia))
         parts = max(1, round(motion.step_s / _STEP_S))
@@ -144,8 +149,15 @@ def _passed_on(sides: Array, signals: Array, step: float, parts: int) -> Array:
     return result
 
 
-def transmission_of(link: LinkBehindTransmission, torques: list[Array]) -> Transmission:
-    """The transmission that fits best, on seconds that it was not fitted to.
+def torque_of_bodies(model: RobotModel, log: JointLog, motion: Motion) -> tuple[Array, Array]:
+    """Torque of the bodies at rest and in motion, rows × joints each, unfiltered, N·m."""
+    still = np.zeros_like(motion.q)
+    at_rest, moving = (model.torque(log.joints, motion.q, *moved) for moved in ((still, still), (motion.v, motion.a)))
+    return at_rest, moving
+
+
+def transmission_of(link: LinkBehindTransmission, torques: list[Array]) -> Transmission | None:
+    """The transmission that fits best, on seconds that it was not fitted to; None where none comes near.
 
     Args:
         link: of the joint.
@@ -155,6 +167,10 @@ def transmission_of(link: LinkBehindTransmission, torques: list[Array]) -> Trans
     scorer = _Scorer(motion, joint, torques)
     candidates = _first(link.inertia)
     by_reading = scorer.scores(motion.smooth_twice(link.passed_on(candidates)))
+    unmoved = scorer.scores(motion.rigid[:, [joint]])
+    rigid_left = float(np.sqrt(np.min(np.mean(unmoved[0], axis=1))))
+    if float(np.min(np.mean(by_reading, axis=2))) > (_HOPELESS * rigid_left) ** 2:
+        return None
     for _ in range(_NARROWED):
         scores = np.min(by_reading, axis=1)
         more = _joined([_around(candidates, scores, kind) for kind in (False, True)])
@@ -168,12 +184,11 @@ def transmission_of(link: LinkBehindTransmission, torques: list[Array]) -> Trans
     only = _Candidates(k[[best]], candidates.ratio[[best]], gap[[best]])
     rigid = motion.rigid.copy()
     rigid[:, joint] = motion.smooth_twice(link.passed_on(only)[:, 0])
-    unmoved = scorer.scores(motion.rigid[:, [joint]])
     return Transmission(
         float(k[best]), _spread(k, by_reading, mask, best), float(candidates.ratio[best]),
         link.inertia, float(gap[best]), _spread(gap, by_reading, mask, best),
         replace(motion, rigid=rigid), lefts[has_gap], lefts[not has_gap],
-        float(np.sqrt(np.min(np.mean(unmoved[0], axis=1)))),
+        rigid_left,
     )  # fmt: skip
 
 
@@ -273,8 +288,7 @@ class _Scorer:
             for reading, torque in enumerate(self._torques):
                 left = torque[half, None] - smooth[half]
                 moments, squares = columns.T @ left, np.sum(left**2, axis=0)
-                for number in range(left.shape[1]):
-                    values = solve_normal(gram, moments[:, number], self._never)[0]
-                    fitted = values @ (2.0 * moments[:, number] - gram @ values)
-                    found[number, reading, place] = max(float(squares[number] - fitted), 0.0) / max(len(left), 1)
+                values = solve_many(gram, moments, self._never)
+                fitted = np.sum(values * (2.0 * moments - gram @ values), axis=0)
+                found[:, reading, place] = np.maximum(squares - fitted, 0.0) / max(len(left), 1)
         return found

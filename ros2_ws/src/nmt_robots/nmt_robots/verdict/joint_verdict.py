@@ -21,6 +21,10 @@ from nmt_robots.thresholds import THRESHOLDS
 
 OF_ALL_JOINTS = frozenset({"bodies", "torque_constant"})
 """Terms that all joints together were asked for; their sizes stand with the bodies."""
+OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
+"""Effects that are of bodies: where all joints together were asked, a joint alone does not say what they are."""
+_MOST_ALIKE = 3
+"""Nearly equal columns that a sentence lists."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,7 @@ class JointTerm:
         if self.key in OF_ALL_JOINTS:
             return f"{self.words} ({percent(self.share)} of its torque)"
         model = f" (model {self.in_model:.3g})" if self.in_model else ""
-        alike = [words for words in self.alike if words not in self.equal]
+        alike = [words for words in self.alike if words not in self.equal][:_MOST_ALIKE]
         also = f"; nearly the same column as {', '.join(alike)}" if alike else ""
         return f"{self.name} {value_text(self.value, self.std, self.unit)}{model}{also}"
 
@@ -214,7 +218,7 @@ def with_body_terms(verdicts: list[JointVerdict], bodies: BodyFinding) -> list[J
     """
     found = []
     for number, verdict in enumerate(verdicts):
-        terms = tuple(replace(term, differs=term.differs and term.key not in _OF_BODIES) for term in verdict.terms)
+        terms = tuple(replace(term, differs=term.differs and term.key not in OF_BODIES) for term in verdict.terms)
         verdict = replace(verdict, terms=terms)
         share = float(bodies.effect[number]) if bodies.claimed else 0.0
         holds = bool(bodies.after[number] < bodies.before[number])
@@ -242,7 +246,7 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
             if not share.effect.made_of_torque or key not in best.causes or key in best.lost:
                 continue
             name = verdict.joint.name
-            bodies = _OF_BODIES & set(best.choice.instead) if share.effect.key == best.causes[0] else set()
+            bodies = OF_BODIES & set(best.choice.instead) if share.effect.key == best.causes[0] else set()
             value = value_text(share.size, share.size_std, share.effect.unit if share.effect.unit != "1" else "")
             if share.effect.key == "saturation":
                 sentence = f"{name}: the drive's torque ends at {share.effect.shape}; the computed one goes beyond."
@@ -279,7 +283,6 @@ _FRICTION = frozenset(
     {"coulomb", "viscous", "creep", "stribeck", "changing_friction", "load_friction", "spring", "ripple", "end_stop"}
 )
 """Effects that the motion of other joints does not make."""
-_OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
 _GAINS = {"kp": "position", "kd": "velocity"}
 _DISTURBING = 0.15
 """Torque left over in a joint, as a share, from which others next to it pay for its motion."""
@@ -311,24 +314,10 @@ def joint_verdict(
     in_model = values_in_model(joint)
     terms = []
     for share in best.shares:
-        key = share.effect.key
-        sizes = [share.size, *(_size_in(result, share) for result in results[1:])]
-        single = float(np.hypot(share.size_std, (timing or {}).get(key, 0.0)))
-        std = float(np.hypot(single, max(abs(size - share.size) for size in sizes)))
-        if key == "load_friction":
-            # Of the torque or of the load: the same to first order.
-            std = float(np.hypot(std, share.size**2))
-        reference = in_model.get(key, 0.0)
-        difference = share.size - reference
-        # Each reading of the log by itself has to differ: their spread is a bound and no standard deviation.
-        nearest = min((size - reference) * np.sign(difference) for size in sizes)
-        part = abs(difference) * share.unit_rms / max(best.held_out.torque, 1e-300)
-        tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
+        key, reference = share.effect.key, in_model.get(share.effect.key, 0.0)
+        std, part, certain = _certainty(results, share, reference, (timing or {}).get(key, 0.0))
         differs = bool(
-            part > (THRESHOLDS.smallest_new if key in best.new else THRESHOLDS.smallest_share)
-            and nearest > THRESHOLDS.certain * single
-            and nearest > THRESHOLDS.certain * tolerance
-            and abs(difference) > THRESHOLDS.certain_over_readings * std
+            certain
             and share.impossible == 0.0
             and key in {*best.causes, *best.new}
             and key not in _OF_FIRST_ORDER
@@ -357,6 +346,40 @@ def joint_verdict(
         joint, best, tuple(terms), best.held_out.torque, plain[1], unchanged, best.plain.interleaved,
         after.interleaved, best.plain.last, after.last, joint.units(_remains(best)),
     )  # fmt: skip
+
+
+def _certainty(
+    results: list[JointMechanics], share: JointShare, reference: float, timing: float = 0.0
+) -> tuple[float, float, bool]:
+    """± over all readings, share of the torque that the difference takes, and whether that is certain and matters."""
+    key, best = share.effect.key, results[0]
+    sizes = [share.size, *(_size_in(result, share) for result in results[1:])]
+    single = float(np.hypot(share.size_std, timing))
+    std = float(np.hypot(single, max(abs(size - share.size) for size in sizes)))
+    if key == "load_friction":
+        # Of the torque or of the load: the same to first order.
+        std = float(np.hypot(std, share.size**2))
+    difference = share.size - reference
+    # Each reading of the log by itself has to differ: their spread is a bound and no standard deviation.
+    nearest = min((size - reference) * np.sign(difference) for size in sizes)
+    part = abs(difference) * share.unit_rms / max(best.held_out.torque, 1e-300)
+    tolerance = _TOLERANCES.get(key, 0.0) * abs(reference)
+    certain = (
+        part > (THRESHOLDS.smallest_new if key in best.new else THRESHOLDS.smallest_share)
+        and nearest > THRESHOLDS.certain * single
+        and nearest > THRESHOLDS.certain * tolerance
+        and abs(difference) > THRESHOLDS.certain_over_readings * std
+    )
+    return std, part, bool(certain)
+
+
+def uncertain_means(results: list[JointMechanics]) -> frozenset[str]:
+    """Causes with a mean of their own that is certain, as an offset, where they are not."""
+    return frozenset(
+        share.effect.key
+        for share in results[0].shares
+        if share.effect.key in _WITH_A_MEAN & set(results[0].causes) and not _certainty(results, share, 0.0)[2]
+    )
 
 
 def by_lag_of_torque(log: JointLog, reading: Reading) -> dict[int, dict[str, float]]:

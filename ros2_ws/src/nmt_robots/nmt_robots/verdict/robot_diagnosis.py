@@ -39,11 +39,13 @@ from nmt_robots.model.robot_model import Joint, RobotModel, rms_by_unit, rms_tex
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.file_findings import file_findings
 from nmt_robots.verdict.joint_verdict import (
+    OF_BODIES,
     JointVerdict,
     by_lag_of_torque,
     by_shared_delay,
     joint_verdict,
     scale_findings,
+    uncertain_means,
     undisturbed,
     unjudged,
     values_in_model,
@@ -288,7 +290,8 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     motion = with_link_masses(changed, log, motion)
     believed = [values_in_model(joint) for joint in joints]
     progress("joints")
-    as_well, results = _understood(motion, drive, scores, believed, log.joints)
+    of_all = frozenset() if bodies is None else OF_BODIES
+    as_well, results = _understood(motion, drive, scores, believed, log.joints, of_all)
     if as_well[0] == scores.best:
         found += reading_findings(scores, held_time(log))
     verdicts = []
@@ -475,12 +478,22 @@ def _few(readings: list[Reading]) -> list[Reading]:
 
 
 def _understood(
-    motion: Motion, drive: DriveTorque, scores: ReadingScores, believed: list[dict[str, float]], names: tuple[str, ...]
+    motion: Motion,
+    drive: DriveTorque,
+    scores: ReadingScores,
+    believed: list[dict[str, float]],
+    names: tuple[str, ...],
+    of_all: frozenset[str],
 ) -> tuple[list[Reading], dict[int, list[JointMechanics]]]:
     """How the log is read, best first, and the mechanics of each joint that moves under each of the readings.
 
     A reading other than the log as it is has to explain more than that does with the causes that it needs: what a
-    gain or a spring does to the torque would else be made of delays.
+    gain or a spring does to the torque would else be made of delays. A cause that leaves no less on the last part in
+    one of the readings, that only its mean is certain of, or that all joints were asked for, is left out and the rest
+    are compared again.
+
+    Args:
+        of_all: keys of effects that all joints were asked for.
     """
     movers = [int(number) for number in np.flatnonzero(motion.moves)]
 
@@ -518,6 +531,19 @@ def _understood(
         as_well.append(reading)
         for number in movers:
             results[number].append(found[number])
+    signals = [drive.signals(reading) for reading in as_well]
+    for number in movers:
+        refused = frozenset[str]()
+        while True:
+            items = results[number]
+            doubted = of_all.union(uncertain_means(items), *(item.lost for item in items))
+            more = frozenset(items[0].causes) & doubted - refused
+            if not more:
+                break
+            refused |= more
+            problems = [JointProblem(motion, number, signal.of(number), names) for signal in signals]
+            best = explain(problems[0], believed[number], without=refused)
+            results[number] = [best, *(explain(problem, believed[number], best) for problem in problems[1:])]
     return as_well, results
 
 

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nmt_robots.log.joint_log import JointLog
+from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log_faults.finding import Finding, is_known
 from nmt_robots.mechanics.ladder import JointMechanics, JointProblem, explain
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import DriveTorque, Reading
-from nmt_robots.mechanics.transmission import LinkBehindTransmission, Transmission, transmission_of
+from nmt_robots.mechanics.transmission import LinkBehindTransmission, Transmission, torque_of_bodies, transmission_of
 from nmt_robots.model.robot_model import Joint, RobotModel
 from nmt_robots.thresholds import THRESHOLDS
 from nmt_robots.verdict.joint_verdict import JointTerm, JointVerdict, joint_verdict, values_in_model
@@ -58,13 +58,17 @@ def joint_with_transmission(
     tried = dict.fromkeys([Reading(), Reading(torque_lag_s=0.001), Reading(torque_lag_s=0.002), *readings])
     torques = [drive.torque(reading) for reading in tried]
     options: list[tuple[float, int, Transmission]] = []
+    bodies: tuple[Array, Array] | None = None
     for number, items in results.items():
         held_out = items[0].held_out
         doubted = held_out.interleaved > THRESHOLDS.may_give_way * held_out.torque or "jerk" in items[0].causes
         if not doubted:
             continue
-        link = LinkBehindTransmission(robot, log, motion, number)
+        bodies = torque_of_bodies(robot, log, motion) if bodies is None else bodies
+        link = LinkBehindTransmission(robot, log, motion, number, bodies)
         item = transmission_of(link, [torque[:, number] for torque in torques])
+        if item is None:
+            continue
         options.append((item.left / max(item.rigid, 1e-300), number, item))
     if not options:
         return None

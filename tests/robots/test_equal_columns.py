@@ -75,7 +75,7 @@ def test_damping_is_one_class_with_the_gain_that_makes_the_same_torque(tmp_path:
 @pytest.mark.parametrize("sidecar", [GAINS, TORQUE], ids=["stated to be computed", "found to be computed"])
 def test_armature_and_inertia_of_a_single_link_are_one_class(tmp_path: Path, sidecar: str) -> None:
     (joint,) = diagnosed(tmp_path, sidecar, armature=0.09).joints
-    assert joint.cause == "armature or inertia of the links (all of the inertial torque scaled)"
+    assert joint.cause == "armature or inertia of its links"
 
 
 def test_a_torque_that_was_measured_leaves_damping_alone(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_a_torque_that_was_measured_leaves_damping_alone(tmp_path: Path) -> None
 def test_efficiency_and_friction_by_load_are_one_effect(motion: Motion) -> None:
     problem = JointProblem(motion, 0, DriveSignals(np.ones(len(motion.q))))
     (effect,) = [effect for effect in problem.library if effect.key == "load_friction"]
-    assert effect.words == "friction that grows with the load, or efficiency by direction"
+    assert effect.words == "friction by load or efficiency"
 
 
 def test_a_commanded_speed_parts_gain_and_damping(motion: Motion) -> None:

@@ -43,6 +43,22 @@ def test_a_spring_brings_its_rest_with_it(tmp_path: Path) -> None:
     assert found.choice.probability["spring"] > 0.9
 
 
+def test_a_cause_that_is_left_out_has_its_place_taken(tmp_path: Path) -> None:
+    found = explain(problem(tmp_path, lambda q, v: 3.0 * (q - 1.0)), IN_MODEL, without=frozenset({"spring"}))
+    assert "spring" not in found.causes
+    assert {"offset", "mass_centre"} & set(found.causes)
+
+
+def test_a_constant_torque_is_named_with_its_share(tmp_path: Path) -> None:
+    np.savez(tmp_path / "log.npz", **log_columns(more=lambda q, v: 1.5))
+    joint = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz").joints[0]
+    term = joint.terms[0]
+    assert term.key == "offset"
+    assert term.differs
+    assert term.value == pytest.approx(1.5, abs=3.0 * term.std)
+    assert joint.adequate
+
+
 def test_a_spring_of_the_file_is_none_that_is_missing(tmp_path: Path) -> None:
     np.savez(tmp_path / "log.npz", **log_columns(more=lambda q, v: 3.0 * (q - 1.0)))
     file = robot_file(tmp_path)

@@ -135,6 +135,7 @@ def test_a_measured_torque_acts_in_windows(tmp_path: Path) -> None:
     wrong = np.abs(found.by_model.missed[:, 100, 0])
     assert np.max(wrong) == pytest.approx(0.4 / inertia * 0.2**2 / 2.0, rel=0.2)
     assert rms(right - found.measured[:, :101, 0]) < 0.05 * rms(wrong)
+    assert simulated._simulation.free_inertia() == pytest.approx([inertia])
     # The tool is the pendulum's centre: an angle times its length.
     assert found.tool == "tool (arm)"
     after = found.after(found.by_model, 0.2)
@@ -189,7 +190,7 @@ def test_a_diagnosis_replays_its_log_and_has_it_on_the_page(tmp_path: Path) -> N
 def test_the_sentence_keeps_angles_and_slides_apart() -> None:
     def off(*missed: float) -> PredictedMotion:
         values = np.broadcast_to(np.array(missed), (2, 60, 3))
-        return PredictedMotion(values, values, np.full((2, 60, 1), 0.005))
+        return PredictedMotion(values, values, np.full((2, 60, 1), 0.005), np.array([60, 60]))
 
     by_model = off(0.03, 0.04, 0.002)
     replay = Replay("", ("elbow", "wrist", "lift"), (True, True, False), "tool (hand)", 0.01, np.arange(2),
@@ -198,7 +199,8 @@ def test_the_sentence_keeps_angles_and_slides_apart() -> None:
         "After 0.2 and 0.5 s from a measured state the model is off by (rms), as given: tool (hand) 5 and 5 mm, "
         "joints that turn 35.4 and 35.4 mrad, joints that slide 2 and 2 mm. "
     )
-    assert "(runs away)" in replace(replay, by_model=off(0.03, np.nan, 0.002)).sentence
+    early = replace(by_model, lasted=np.array([60, 30]))
+    assert "tool (hand) 5 and > 5 mm" in replace(replay, by_model=early, by_changed=early).sentence
 
 
 def test_each_limb_has_an_end(tmp_path: Path) -> None:

@@ -104,8 +104,8 @@ def test_nothing_is_named_beside_a_clock_that_is_off(tmp_path: Path, monkeypatch
 def _plain_reading(understood: Any) -> Any:
     """The same with the best reading first, so that findings on it are taken."""
 
-    def changed(motion: Any, drive: Any, scores: Any, believed: Any, names: Any) -> Any:
-        readings, results = understood(motion, drive, scores, believed, names)
+    def changed(motion: Any, drive: Any, scores: Any, *more: Any) -> Any:
+        readings, results = understood(motion, drive, scores, *more)
         return [scores.best, *readings], results
 
     return changed

@@ -88,24 +88,31 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
     from rich.table import Table
     from rich.text import Text
 
+    from nmt_core.text.number_words import percent
+
     console.print()
     console.print(Text(f"Verdict: {diagnosis.verdict}", style="bold"), soft_wrap=True)
     if diagnosis.replay is not None:
         console.print(Text(f"In motion: {diagnosis.replay.sentence}"), soft_wrap=True)
-    for finding in diagnosis.of_file:
-        console.print(Text(f"Model: {finding.sentence}"), soft_wrap=True)
-    for finding in diagnosis.findings:
-        style = "yellow" if finding.fault else ""
-        console.print(Text(f"Log: {finding.sentence}", style=style), soft_wrap=True)
+    faults = [finding for finding in diagnosis.findings if finding.fault]
+    by_key = {key: [item for item in faults if item.key == key] for key in dict.fromkeys(item.key for item in faults)}
+    for first, *others in by_key.values():
+        also = f" The same of {', '.join(name for item in others for name in item.joints)}." if others else ""
+        console.print(Text(f"Log: {first.sentence}{also}", style="yellow"), soft_wrap=True)
+    notes = len(diagnosis.of_file) + len(diagnosis.findings) - len(faults)
+    if notes:
+        console.print(f"Notes on the file and the log: {notes}, in the report.", soft_wrap=True)
     table = Table(box=SIMPLE_HEAD)
-    for head in ("joint", "what differs", "closed", "left", "what remains"):
-        table.add_column(head, justify="right" if head in ("closed", "left") else "left")
+    for head in ("joint", "what differs", "closed", "left"):
+        table.add_column(
+            head, justify="right" if head in ("closed", "left") else "left", no_wrap=head != "what differs"
+        )
     for joint in diagnosis.joints:
         if joint.mechanics is None:
-            table.add_row(joint.joint.name, "not judged", "", "", joint.remains)
+            table.add_row(joint.joint.name, f"not judged: {joint.remains}", "", "")
             continue
-        left = f"{joint.left:.3f} {joint.joint.effort_unit}"
-        table.add_row(joint.joint.name, joint.difference, f"{100 * joint.closed:.0f} %", left, joint.remains)
+        left = f"{joint.left:.3g} {joint.joint.effort_unit} ({percent(joint.left / joint.torque)})"
+        table.add_row(joint.joint.name, joint.difference, percent(joint.closed), left)
     console.print(table)
     for sentence in () if diagnosis.group is None else diagnosis.group.sentences:
         console.print(Text(f"Units: {sentence}"), soft_wrap=True)

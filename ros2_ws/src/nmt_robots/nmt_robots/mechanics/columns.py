@@ -175,16 +175,16 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
     add(lambda s: (np.abs(s.v),), "viscous_by_direction", "viscous friction that depends on the direction",
         "N·m·s/rad")  # fmt: skip
     add(lambda s: (np.sign(s.v) * np.abs(s.torque),), "load_friction",
-        "friction that grows with the load, or efficiency by direction", "1", largest=_LARGEST_SCALE)  # fmt: skip
+        "friction by load or efficiency", "1", largest=_LARGEST_SCALE)  # fmt: skip
     if np.std(state.gravity) > 0.0:
-        add(lambda s: (s.gravity,), "gravity_scale", "mass or its distance (all of gravity scaled)", "1",
+        add(lambda s: (s.gravity,), "gravity_scale", "gravity of its links", "1",
             largest=_LARGEST_SCALE)  # fmt: skip
     for name, doubled in zip(names, motion.of_links, strict=False):
         if np.std(doubled[:, joint]) > 0.01 * np.std(torque):
             found.append(JointEffect("link_mass", "mass of a link", "1", doubled[:, [joint]], shape=f"link of {name}",
                                 largest=_LARGEST_MASS))  # fmt: skip
     if np.std(state.inertial) > 0.0:
-        add(lambda s: (s.inertial,), "inertia_scale", "inertia of the links (all of the inertial torque scaled)", "1",
+        add(lambda s: (s.inertial,), "inertia_scale", "inertia of its links", "1",
             largest=_LARGEST_SCALE)  # fmt: skip
     middle = float(np.mean(state.q))
     add(lambda s: (s.q - middle,), "spring", "spring or counterbalance", "N·m/rad", frees="offset")
@@ -209,7 +209,7 @@ def rival_effects(motion: Motion, joint: int, drive: DriveSignals, names: tuple[
 
 def _of_the_drive(state: State, drive: DriveSignals) -> list[JointEffect]:
     """Gains, torque constant and limit of a drive."""
-    words = "gain, torque constant or gear ratio of the drive (all of its torque scaled)"
+    words = "scale of the drive's torque"
     found = [_following(state, lambda s: (-s.torque,), "gain", words, "1", largest=_LARGEST_SCALE, made_of_torque=True)]
     if drive.error is None:
         return found

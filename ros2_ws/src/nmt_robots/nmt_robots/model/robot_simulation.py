@@ -79,6 +79,12 @@ class RobotSimulation:
         self._data.qacc_warmstart[:] = 0.0
         self._mujoco.mj_forward(self._model, self._data)
 
+    def free_inertia(self) -> Array:
+        """J, kg·m²: what a torque at a joint accelerates in this pose while the others are free, armature included."""
+        inverse = np.empty((self._model.nv, self._model.nv))
+        self._mujoco.mj_solveM(self._model, self._data, inverse, np.eye(self._model.nv))
+        return 1.0 / np.diag(inverse)[self._dofs]
+
     def body_torques(self) -> tuple[Array, Array]:
         """J each, N·m: torque of the bodies at rest in this pose, and what motion adds to it."""
         mujoco, model, still = self._mujoco, self._model, self._still

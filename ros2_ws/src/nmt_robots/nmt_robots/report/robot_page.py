@@ -191,10 +191,14 @@ def _replay(replay: Replay) -> Markup:
     """Distance after each horizon, and the windows of the joints that are off most."""
     if not replay.horizons_s:
         return html_table([("in motion", "")], [(replay.how,)])
-    found = [(words, replay.after(item, span)) for words, item in replay.models for span in replay.horizons_s]
-    rows = [(f"{replay.tool} (mm)", "", *(missed_text(tool) for _, (_, tool) in found))]
+    found = [
+        (replay.after(item, span), replay.is_beyond(item, span))
+        for _, item in replay.models
+        for span in replay.horizons_s
+    ]
+    rows = [(f"{replay.tool} (mm)", "", *(missed_text(tool, beyond) for (_, tool), beyond in found))]
     for number, (name, turns) in enumerate(zip(replay.joints, replay.turns, strict=True)):
-        missed = (missed_text(float(joints[number])) for _, (joints, _) in found)
+        missed = (missed_text(float(joints[number]), beyond) for (joints, _), beyond in found)
         rows.append((f"{name} ({'mrad' if turns else 'mm'})", replay.changed.get(name, "nothing"), *missed))
     spans = [f"{words}, after {span:g} s" for words, _ in replay.models for span in replay.horizons_s]
     with figure_style():
@@ -206,7 +210,7 @@ def _replay(replay: Replay) -> Markup:
 def _motions(replay: Replay) -> ReportFigure:
     """Error over the horizon, and measured and simulated windows, of the tool and the joints that are off most."""
     last = replay.after(replay.by_model, replay.horizons_s[-1])[0]
-    chosen = np.argsort(-np.nan_to_num(last, nan=np.inf))[:_REPLAYED_JOINTS]
+    chosen = np.argsort(-last)[:_REPLAYED_JOINTS]
     every = slice(None, None, max(1, len(replay.time) // _REPLAYED_POINTS))
     apart = _without_overlap(replay)
     height = 1.9 * (len(chosen) + 1) + 0.5

@@ -23,7 +23,7 @@ OF_ALL_JOINTS = frozenset({"bodies", "torque_constant"})
 """Terms that all joints together were asked for; their sizes stand with the bodies."""
 OF_BODIES = frozenset({"link_mass", "gravity_scale", "mass_centre"})
 """Effects that are of bodies: where all joints together were asked, a joint alone does not say what they are."""
-_MOST_ALIKE = 3
+_MOST_ALIKE = 2
 """Nearly equal columns that a sentence lists."""
 
 
@@ -59,14 +59,16 @@ class JointTerm:
     @property
     def name(self) -> str:
         """Its words with those of effects that are one class with it."""
-        return " or ".join((self.words, *self.equal))
+        every = (self.words, *self.equal)
+        return " or ".join(every) if len(every) < 3 else f"{', '.join(every[:-1])} or {every[-1]}"
 
     def text(self) -> str:
         """The term in a sentence."""
         if self.impossible < 0.0:
             return f"{self.words}: {self.impossible:.3g} {self.unit} would fit, which is impossible: timing"
         if self.key in OF_ALL_JOINTS:
-            return f"{self.words} ({percent(self.share)} of its torque)"
+            words = "bodies that differ" if self.key == "bodies" else self.words
+            return f"{words} ({percent(self.share)} of its torque)"
         model = f" (model {self.in_model:.3g})" if self.in_model else ""
         alike = [words for words in self.alike if words not in self.equal][:_MOST_ALIKE]
         also = f"; nearly the same column as {', '.join(alike)}" if alike else ""
@@ -150,10 +152,7 @@ class JointVerdict:
             words = "; ".join(term.text() for term in self.terms if term.differs)
             if self.adequate:
                 return words
-            return self.joint.units(
-                f"{words}; in part: {percent(max(self.closed, 0.0))} of the gap is gone, "
-                f"{percent(self.left / self.torque)} of the torque stays without a name"
-            )
+            return self.joint.units(f"{words}; in part: the rest of the torque stays without a name")
         if self.is_as_in_the_model:
             return "nothing: as in the model"
         share = percent(self.unchanged / self.torque)

@@ -33,17 +33,20 @@ class Request:
         why: what it parts.
         gain: by which factor the ± of a joint's Coulomb and viscous friction shrink in the same time, the lesser of
             the two; NaN where it is asked for something else.
+        of_all: whether these are all joints of the log.
     """
 
     kind: str
     joints: tuple[str, ...]
     why: str
     gain: float = float("nan")
+    of_all: bool = False
 
     @property
     def sentence(self) -> str:
         """For people."""
-        words = f"{_KINDS[self.kind]} of {', '.join(self.joints)}: {self.why}"
+        whose = "all joints" if self.of_all else ", ".join(self.joints)
+        words = f"{_KINDS[self.kind]} of {whose}: {self.why}"
         if self.gain > 1.2:
             words += f"; in the same time the ± of Coulomb and viscous friction shrink at least {self.gain:.2g}-fold"
         return words + "."
@@ -105,7 +108,8 @@ def next_motion(
         for place, number in enumerate(moved):
             part[:, number] += _shape(request.kind, room[number], place, len(moved))
         gains = [_gain(motion, number, part[:, number]) for number in moved] if request.kind == "triangle" else []
-        requests.append(Request(request.kind, request.joints, request.why, min(gains, default=float("nan"))))
+        of_all = len(moved) == len(joints) > 1
+        requests.append(Request(request.kind, request.joints, request.why, min(gains, default=float("nan")), of_all))
         parts.append(part)
     counted = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     position = np.vstack(parts)

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from nmt_robots.log.joint_log import Array, JointLog
-from nmt_robots.log_faults.finding import Finding, is_known
+from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.columns import JointEffect, State
 from nmt_robots.mechanics.ladder import first_of_last_part
 from nmt_robots.mechanics.motion import Motion, built_up
@@ -32,8 +32,8 @@ _WINDOWS = 16
 _CURVE_S = 0.05
 """Between points of the error over the horizon in files."""
 _STEP_S = 5e-4
-_FARTHEST = 50.0
-"""Angle (rad) or speed over 100 (rad/s) of a simulation that has run away."""
+_ROOM = 0.3
+"""By which a joint may leave its range in the log before its window ends, rad or m; at least that range once more."""
 _DRY = frozenset({"coulomb", "stribeck", "root_friction", "load_friction"})
 """Effects that can hold a joint still."""
 
@@ -43,14 +43,16 @@ class PredictedMotion:
     """Windows through one model.
 
     Attributes:
-        position: windows × rows × J, rad (m of a slide); NaN once the motion has run away.
+        position: windows × rows × J, rad (m of a slide); the last one once a joint has left its range.
         missed: the same, less the measured position.
         tool: windows × rows × ends, m: distance of each end of the robot from where it was.
+        lasted: windows; rows until a joint left its range.
     """
 
     position: Array
     missed: Array
     tool: Array
+    lasted: Array
 
     def joints(self) -> Array:
         """Rows × J: rms over the windows."""
@@ -59,6 +61,11 @@ class PredictedMotion:
     def ends(self) -> Array:
         """Rows: rms over windows and ends, m."""
         return np.asarray(np.sqrt(np.mean(self.tool**2, axis=(0, 2))))
+
+    def ended(self, row: int = -1) -> int:
+        """Windows that ended before a row, as a joint left its range."""
+        rows = self.missed.shape[1]
+        return int(np.count_nonzero(self.lasted <= row % rows)) if rows else 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +110,10 @@ class Replay:
         row = round(span_s / self.step_s)
         return predicted.joints()[row], float(predicted.ends()[row])
 
+    def is_beyond(self, predicted: PredictedMotion, span_s: float) -> bool:
+        """Whether windows ended before that time, so that the distance is at least so large."""
+        return predicted.ended(round(span_s / self.step_s)) > 0
+
     @property
     def models(self) -> list[tuple[str, PredictedMotion]]:
         """Words for each simulation, that of the changed model only where something was changed."""
@@ -120,12 +131,13 @@ class Replay:
         parts = []
         for words, predicted in self.models:
             found = [self.after(predicted, span) for span in self.horizons_s]
+            beyond = [self.is_beyond(predicted, span) for span in self.horizons_s]
             whose = [(self.tool, [tool for _, tool in found], "mm")]
             for name, unit, kind in (("joints that turn", "mrad", True), ("joints that slide", "mm", False)):
                 chosen = np.array(self.turns) == kind
                 if np.any(chosen):
                     whose.append((name, [float(np.sqrt(np.mean(joints[chosen] ** 2))) for joints, _ in found], unit))
-            parts.append(f"{words}: {', '.join(f'{who} {_sizes(sizes, unit)}' for who, sizes, unit in whose)}")
+            parts.append(f"{words}: {', '.join(f'{who} {_sizes(sizes, beyond, unit)}' for who, sizes, unit in whose)}")
         return f"After {spans} s from a measured state the model is off by (rms), {'; '.join(parts)}. {self.how}"
 
     def to_mapping(self) -> dict[str, Any]:
@@ -152,16 +164,15 @@ def _enumerated(words: Sequence[str]) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
 
 
-def _sizes(values: Sequence[float], unit: str) -> str:
+def _sizes(values: Sequence[float], beyond: Sequence[bool], unit: str) -> str:
     """Distances in rad or m as words in mrad or mm."""
-    return f"{_enumerated([missed_text(value) for value in values])} {unit}"
+    return f"{_enumerated([missed_text(*item) for item in zip(values, beyond, strict=True)])} {unit}"
 
 
-def missed_text(value: float) -> str:
-    """A distance in mrad or mm, or that there is none."""
-    if not is_known(value):
-        return "(runs away)"
-    return f"{1e3 * value:.0f}" if value >= 0.1 else f"{1e3 * value:.3g}"
+def missed_text(value: float, beyond: bool) -> str:
+    """A distance in mrad or mm, or that it is more than so much."""
+    size = f"{1e3 * value:.0f}" if value >= 0.1 else f"{1e3 * value:.3g}"
+    return f"> {size}" if beyond else size
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,14 +275,19 @@ def replayed(
     ends = robot.ends(log.joints)
     measured = np.stack([log.position[row : row + rows] for row in starts]) if len(starts) else np.empty((0, rows, 1))
 
+    simulated: list[Simulated] = []
+
     def predicted(robot_of: RobotModel, log_of: JointLog, joints: list[ChangedJoint]) -> PredictedMotion:
-        simulated = Simulated(robot_of, log_of, motion, driven_by(log_of, reading), joints)
-        position = np.array([simulated.window(row, rows) for row in starts]).reshape(measured.shape)
+        simulated.append(Simulated(robot_of, log_of, motion, driven_by(log_of, reading), joints))
+        position = np.array([simulated[-1].window(row, rows) for row in starts]).reshape(measured.shape)
+        lasted = np.count_nonzero(np.isfinite(position[..., 0]), axis=1)
+        for window, row in zip(position, lasted, strict=True):
+            window[row:] = window[row - 1]
         # Both through the kinematics of the file: a part that is not mounted stays a point.
         flat = [values.reshape(-1, values.shape[-1]) for values in (position, measured)]
         reached, was = (robot.places(ends, log.joints, values) for values in flat)
         apart = np.linalg.norm(reached - was, axis=2)
-        return PredictedMotion(position, position - measured, apart.reshape(*measured.shape[:2], len(ends)))
+        return PredictedMotion(position, position - measured, apart.reshape(*measured.shape[:2], len(ends)), lasted)
 
     by_model = predicted(robot, log, unchanged)
     by_changed = by_model
@@ -281,6 +297,12 @@ def replayed(
     span = f"the last {(len(motion.q) - first) * step:.3g} s, with values of the rows before"
     what = f"the command through the drives' law ({reading.text()})" if driven.is_law else "the measured torque"
     how = f"{len(starts)} windows of {span}, driven by {what}{'; the base stands still' if robot.floating else ''}."
+    models = {"as given": by_model} | ({"as changed": by_changed} if by_changed is not by_model else {})
+    left = [f"{item.ended()} of the model {words}" for words, item in models.items() if item.ended()]
+    if left:
+        how += f" {_enumerated(left)} end early, where a joint leaves its range in the log by that range (>)."
+    if left and not driven.is_law:
+        how += f" {simulated[-1].drift(int(starts[0]), verdicts)}"
     if too_short:
         how = "" if not len(starts) else how + " "
         how += f"The last part of the log, {(len(motion.q) - first) * step:.2g} s, is too short for windows of " + (
@@ -364,7 +386,13 @@ class Simulated:
         )
         self._simulation.set_joints(np.where(loose, 0.0, armature), np.where(loose, 0.0, damping))
         self._coulomb, self._loose = coulomb, [int(number) for number in np.flatnonzero(loose)]
-        self._plain = not np.any(loose) and not any(joint.further for joint in joints)
+        # An offset is the same in every state; all else follows the motion.
+        further = [[item for item in joint.further if item[0].key != "offset"] for joint in joints]
+        self._further = [sorted(items, key=lambda item: not item[0].made_of_torque) for items in further]
+        self._constant = np.array(
+            [sum(float(values[0]) for item, values in joint.further if item.key == "offset") for joint in joints]
+        )
+        self._plain = not np.any(loose) and not any(further)
         self._of_bodies = any(joint.has("gravity_scale", "inertia_scale") for joint in joints)
         self._angle, self._speed = np.zeros(len(joints)), np.zeros(len(joints))
         self._reach = np.array([max((effect.reach for effect, _ in joint.further), default=0.0) for joint in joints])
@@ -372,9 +400,11 @@ class Simulated:
         for number in np.flatnonzero(self._reach):
             self._built[:, [number]] = built_up(motion.position[:, [number]], self._reach[number])
         self._held, self._before = np.zeros(len(joints)), np.zeros(len(joints))
+        low, high = np.min(log.position, axis=0), np.max(log.position, axis=0)
+        self._middle, self._room = 0.5 * (low + high), 0.5 * (high - low) + np.maximum(high - low, _ROOM)
 
     def window(self, first: int, rows: int) -> Array:
-        """Angles of the encoders from the measured state of a row on, rows × J, rad; NaN once they have run away."""
+        """Angles of the encoders from the measured state of a row on, rows × J, rad; NaN once out of range."""
         driven = self._driven
         found = np.full((rows, self._log.position.shape[1]), np.nan)
         places = first + np.arange((rows - 1) * self._parts) / self._parts
@@ -384,7 +414,7 @@ class Simulated:
         self._reset(first)
         q, v = self._encoders()
         for row in range(rows):
-            if not np.all(np.abs(q) + np.abs(v) / 100.0 < _FARTHEST):
+            if not np.all(np.abs(q - self._middle) < self._room):
                 break
             found[row] = q
             for part in range(row * self._parts, min(row + 1, rows - 1) * self._parts):
@@ -396,6 +426,19 @@ class Simulated:
                 self._advance(q, v, acting, error, speed_error)
                 q, v = self._encoders()
         return found
+
+    def drift(self, row: int, verdicts: Sequence[JointVerdict]) -> str:
+        """How far the torque left at a joint takes it in the longest window, where no law leads it back."""
+        self._reset(row)
+        inertia = self._simulation.free_inertia()
+        left = np.array([item.left if item.mechanics is not None else 0.0 for item in verdicts])
+        span = HORIZONS_S[-1]
+        joint = int(np.argmax(left / inertia))
+        item, by = verdicts[joint].joint, 0.5 * left[joint] / inertia[joint] * span**2
+        return item.units(
+            f"A measured torque leads no joint back to its motion: the {left[joint]:.2g} N·m left at {item.name} move "
+            f"its {inertia[joint]:.2g} kg·m² by up to {by:.2g} rad in {span:g} s."
+        )
 
     def _by_log(self, places: Array) -> Array:
         """Torque of the drives as the measured motion has it, at rows and between them."""
@@ -424,7 +467,7 @@ class Simulated:
     def _advance(self, q: Array, v: Array, acting: Array, error: Array, speed_error: Array) -> None:
         """One step with all that the joints have next to bodies, armature and damping."""
         if self._plain:
-            self._simulation.advance(acting, self._coulomb)
+            self._simulation.advance(acting - self._constant, self._coulomb)
             return
         torque, dry = acting.copy(), self._coulomb.copy()
         gravity = inertial = np.full(len(q), np.nan)
@@ -433,8 +476,8 @@ class Simulated:
         acceleration = self._simulation.acceleration
         turned = (q - self._before) / np.where(self._reach > 0.0, self._reach, np.inf)
         self._held, self._before = np.clip(self._held + turned, -1.0, 1.0), q.copy()
-        for number, joint in enumerate(self._joints):
-            for effect, values in sorted(joint.further, key=lambda item: not item[0].made_of_torque):
+        for number, further in enumerate(self._further):
+            for effect, values in further:
                 assert effect.law is not None
                 if effect.reach:
                     dry[number] -= values[0]
@@ -451,7 +494,7 @@ class Simulated:
                     dry[number] += size
                 else:
                     torque[number] -= size
-        dry = np.maximum(dry, 0.0)
+        dry, torque = np.maximum(dry, 0.0), torque - self._constant
         for number in self._loose:
             torque[number] = self._passed_on(number, torque[number], dry[number])
             dry[number] = 0.0

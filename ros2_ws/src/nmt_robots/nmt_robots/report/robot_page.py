@@ -272,7 +272,7 @@ def _terms(diagnosis: RobotDiagnosis) -> Markup:
         for term in joint.terms
     ]
     head = [("joint", ""), ("term", ""), ("value", ""), ("in the model", ""), ("difference, of the torque", ""),
-            ("nearly the same column as", "")]  # fmt: skip
+            ("hardly distinguishable from", "")]  # fmt: skip
     return html_table(head, rows)
 
 

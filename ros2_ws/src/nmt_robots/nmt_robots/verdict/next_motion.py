@@ -164,15 +164,15 @@ def _wanted(
     ask(
         "poses",
         list(classes),
-        "gravity alone, once with a known mass hung on, parts the drive's scale from the link's mass",
+        "gravity alone, once with a known mass hung on, separates the scale of the drive from the mass of the link",
     )
     unknown = [item for item in verdicts if item.mechanics is not None and item.cause == "not known"]
     ask("triangle", [item.joint.name for item in unknown],
         "without inertia, friction shows its dependence on speed, angle and load")  # fmt: skip
     if len({(reading.command_lag_s, reading.torque_lag_s) for reading in as_well}) > 1:
         movers = [joint.name for number, joint in enumerate(joints) if motion.moves[number]]
-        ask("chirp", movers, "a delay and a damping part only where the position leaves the command")
-    ask("out_of_phase", _in_phase(motion, joints), "they moved in phase, so that one's torque passes for the other's")
+        ask("chirp", movers, "delay and damping can be separated only where the position leaves the command")
+    ask("out_of_phase", _in_phase(motion, joints), "they moved in phase, so their torques cannot be separated")
     if not found:
         ask(
             "triangle",

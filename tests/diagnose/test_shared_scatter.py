@@ -29,7 +29,7 @@ def estimates(sizes: list[float], seed: int) -> np.ndarray:
     found = []
     for size in sizes:
         noise = size * (generator.standard_normal(LINES) + 1j * generator.standard_normal(LINES))
-        found.append(scatter_of_lines(frequency, np.exp(noise) * (2.0 + frequency / 50.0)))
+        found.append(scatter_of_lines(frequency, np.exp(noise) * (2.0 + frequency / 50.0))[0])
     return np.array(found)
 
 

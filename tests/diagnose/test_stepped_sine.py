@@ -401,13 +401,26 @@ def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: P
     assert sum("it jumps between" in note for note in observations.notes) == 2
 
 
+def test_a_noise_that_all_lines_have_is_seen_where_the_response_is_small() -> None:
+    hz, generator = np.linspace(20.0, 200.0, 300), np.random.default_rng(5)
+    modes = ((1.0, 40.0), (0.7, 95.0), (-0.4, 160.0))
+    response = sum(-(hz**2) * a / (own**2 - hz**2 + 0.02j * own * hz) for a, own in modes)
+    noise = generator.standard_normal((4, hz.size))
+    noisy = response * (1.0 + 0.005 * (noise[0] + 1j * noise[1])) + 0.02 * (noise[2] + 1j * noise[3])
+    relative, common = scatter_of_lines(hz, noisy)
+    stated, true = np.hypot(relative, common / np.abs(response)), np.hypot(0.005, 0.02 / np.abs(response))
+    for few in (np.abs(response) < np.quantile(np.abs(response), 0.1), np.abs(response) > 2.0):
+        assert 0.7 < float(np.median(stated[few] / true[few])) < 1.5
+    assert scatter_of_lines(hz, response * (1.0 + 0.005 * (noise[0] + 1j * noise[1])))[1] == 0.0
+
+
 def test_scatter_and_jumps_are_seen_in_the_lines() -> None:
     hz = np.linspace(46.0, 58.0, 241)
     response = upper(hz, 8.0)
     generator = np.random.default_rng(3)
     noise = generator.standard_normal((2, hz.size))
     noisy = response * np.exp(6e-3 * (noise[0] + 1j * noise[1]))
-    assert scatter_of_lines(hz, noisy) == pytest.approx(6e-3, rel=0.2)
+    assert scatter_of_lines(hz, noisy) == (pytest.approx(6e-3, rel=0.2), 0.0)
     ((first, last),) = jumps_of(noisy)
     assert last == first + 1
     assert hz[first] <= folds(8.0)[1] <= hz[last]

@@ -99,7 +99,19 @@ def relative_scatter(estimate: Callable[[np.random.Generator], float], count: in
 
 def scatter_of_responses(generator: np.random.Generator) -> float:
     noise = generator.standard_normal((2, 100))
-    return scatter_of_lines(np.linspace(1.0, 2.0, 100), 1.0 + 0.01 * (noise[0] + 1j * noise[1]))
+    return scatter_of_lines(np.linspace(1.0, 2.0, 100), 1.0 + 0.01 * (noise[0] + 1j * noise[1]))[0]
+
+
+def common_noise(share: float) -> bool:
+    """Whether lines between 0.05 and 1 show a noise that all have beside a relative one of 1 %."""
+    noise = np.random.default_rng(2).standard_normal((2, 100))
+    line = np.geomspace(0.05, 1.0, 100)
+    return (
+        scatter_of_lines(np.linspace(1.0, 2.0, 100), line + np.hypot(0.01 * line, share) * (noise[0] + 1j * noise[1]))[
+            1
+        ]
+        > 0.0
+    )
 
 
 def transients(size: float) -> bool:
@@ -257,6 +269,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "modes.certain_channel_share": (lambda: [lacking(99.0, 0.0, some, True, 20) for some in (15, 16)], [0, 1]),
     "modes.highest_measured_damping": (lambda: (poles(0.055), poles(0.045)), (0, 1)),
     "modes.least_width_lines": (lambda: (poles(0.00125), poles(0.00175)), (0, 1)),
+    "noise.stepped_floor_log_likelihood": (lambda: (common_noise(0.0003), common_noise(0.003)), (False, True)),
     "noise.median_relative_std": (
         lambda: relative_scatter(scatter_of_responses, 200) / THRESHOLDS.noise.median_relative_std,
         pytest.approx(1.0, abs=0.3),

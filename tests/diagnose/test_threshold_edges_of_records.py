@@ -97,7 +97,7 @@ def jumps(step: float, beside: float) -> int:
 
 def lines(count: int) -> float:
     frequency = np.linspace(1.0, 2.0, count)
-    return scatter_of_lines(frequency, (1.0 + 0.1 * frequency).astype(np.complex128))
+    return scatter_of_lines(frequency, (1.0 + 0.1 * frequency).astype(np.complex128))[0]
 
 
 def points(count: int) -> float:

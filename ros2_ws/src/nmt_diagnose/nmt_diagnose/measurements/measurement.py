@@ -455,8 +455,8 @@ class ResponseLines(Driven):
         """With the noise of measured amplitudes propagated as a prediction's solutions say."""
         return self
 
-    def with_scatter(self, before: float, after: float, degrees: float) -> ResponseLines:
-        """The measurement whose scatter, of some standard deviation before, has another after."""
+    def with_scatter(self, before: FloatArray, factor: float, degrees: float) -> ResponseLines:
+        """The measurement whose lines scatter by a factor more than some standard deviations, (lines,)."""
         return self
 
 

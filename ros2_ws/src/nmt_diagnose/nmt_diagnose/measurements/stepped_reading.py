@@ -183,6 +183,10 @@ def _responses(windows: Sequence[LockedWindow], channel: str, force: str) -> tup
 # -- tables ----------------------------------------------------------------------------------------------------------
 
 
+# Ratios of a common noise to a relative one that are tried, between lines a tenth of the least and the largest.
+_NOISE_RATIOS = 40
+# Degrees of freedom of residuals with resonances and jumps among them, and the scale that normal noise has by them.
+_TAIL, _TAIL_SCALE, _SCALE_ROUNDS = 2.0, 0.735, 8
 _WHAT = {"force": "force", "base": "acceleration of the base", "voltage": "voltage", "response": "response"}
 
 
@@ -346,7 +350,7 @@ def _sweep_of_table(
         std, sentences, degrees = noise_of_lines(label, table, order, table.responses[order], f)
         notes += sentences
         measured.append((channel, table.responses[order], std, degrees))
-    estimated = [float(std[0]) for _, _, std, degrees in measured if math.isfinite(degrees)]
+    estimated = [float(np.median(std)) for _, _, std, degrees in measured if math.isfinite(degrees)]
     if len(estimated) == len(measured) > 1:  # one sentence for all of them
         low, high = 100.0 * min(estimated), 100.0 * max(estimated)
         notes = [
@@ -411,7 +415,7 @@ def noise_of_lines(
             return std, [], math.inf
     if table.noise > 0.0:
         return np.full(h.size, table.noise), [], math.inf
-    found = scatter_of_lines(f, h, table.phase_known)
+    found, floor = scatter_of_lines(f, h, table.phase_known)
     if not math.isfinite(found):
         return (
             np.full(h.size, THRESHOLDS.noise.stepped_default_std),
@@ -422,18 +426,18 @@ def noise_of_lines(
             math.inf,
         )
     degrees = (2 if table.phase_known else 1) * h.size / (2.0 * THRESHOLDS.noise.median_relative_std**2)
-    return (
-        np.full(h.size, found),
-        [f"{name}: no uncertainties are given; its lines scatter by {100 * found:.2g} % about a smooth course."],
-        degrees,
+    besides = f" and {floor:.2g} {table.units.get('real', '')}".rstrip() if floor else ""
+    note = (
+        f"{name}: no uncertainties are given; its lines scatter by {100 * found:.2g} %{besides} about a smooth course."
     )
+    return np.hypot(found, floor / np.abs(h)), [note], degrees
 
 
-def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known: bool = True) -> float:
-    """Relative noise of magnitude and of phase (rad) of a frequency response, from its scatter about a smooth course.
+def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known: bool = True) -> tuple[float, float]:
+    """Noise of a frequency response from its scatter about a smooth course: a share of each line, and what all have.
 
-    Each line is compared with the cubic through its four neighbours in ln H. The median over the lines does not see
-    resonances and jumps, where no cubic follows the course.
+    Each line is compared with the cubic through its four neighbours in ln H, or in H where that is nearer, as it is
+    about an antiresonance. Medians and heavy tails do not see resonances and jumps, where no cubic follows the course.
 
     Args:
         frequency: ascending, Hz, shape (n,).
@@ -441,16 +445,47 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known:
         phase_known: whether it has a phase; else its magnitude alone is looked at.
 
     Returns:
-        The standard deviation; NaN for fewer than twelve lines.
+        Relative standard deviation of magnitude and phase (rad), NaN for fewer than twelve lines; and the deviation
+        that all lines have in common, in the unit of the response, 0 where none is shown.
     """
-    if frequency.size < THRESHOLDS.noise.stepped_fewest_for_scatter:
-        return math.nan
-    log = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
+    limits = THRESHOLDS.noise
+    if frequency.size < limits.stepped_fewest_for_scatter:
+        return math.nan, 0.0
+    size = np.abs(response)
+    log = np.log(size) + 1j * np.unwrap(np.angle(response))
     middle, near, weights = neighbour_cubics(frequency)
-    residual = (log[middle] - np.sum(weights * log[near], axis=1)) / np.sqrt(1.0 + np.sum(weights**2, axis=1))
+    if not middle.size:
+        return math.nan, 0.0
+    at, around, squares = size[middle], size[near], weights**2
+    distance = log[middle] - np.sum(weights * log[near], axis=1)
+    # Variances over those of a relative noise of 1, and of a noise of 1 that all lines have.
+    shares = np.stack([1.0 + squares.sum(axis=1), at**-2 + np.sum(squares / around**2, axis=1)])
+    if phase_known:
+        plain = (response[middle] - np.sum(weights * response[near], axis=1)) / response[middle]
+        in_plane = np.stack([1.0 + np.sum(squares * around**2, axis=1) / at**2, shares[0] / at**2])
+        nearer = np.abs(plain) ** 2 / in_plane[0] < np.abs(distance) ** 2 / shares[0]
+        distance, shares = np.where(nearer, plain, distance), np.where(nearer, in_plane, shares)
+    parts = np.abs(np.stack([distance.real, distance.imag]) if phase_known else distance.real[None])
+
+    def fitted(ratio: float) -> tuple[float, float]:
+        """Relative noise beside a common one in a ratio, and minus the log likelihood (Student, heavy tails)."""
+        scale = np.sqrt(shares[0] + ratio**2 * shares[1])
+        whitened = (parts / scale) ** 2
+        square = float(np.median(whitened))
+        for _ in range(_SCALE_ROUNDS):
+            square = max(float(np.mean((_TAIL + 1.0) * whitened / (_TAIL + whitened / max(square, 1e-300)))), 1e-300)
+        cost = float(
+            np.sum(np.log(scale) + 0.5 * np.log(square) + 0.5 * (_TAIL + 1.0) * np.log1p(whitened / square / _TAIL))
+        )
+        return math.sqrt(square) / _TAIL_SCALE, cost
+
+    ratios = np.concatenate([[0.0], np.geomspace(0.1 * size.min(), size.max(), _NOISE_RATIOS)])
+    tried = [fitted(float(ratio)) for ratio in ratios]
+    best = int(np.argmin([cost for _, cost in tried]))
+    if tried[0][1] - tried[best][1] > limits.stepped_floor_log_likelihood:
+        return max(tried[best][0], 1e-4), tried[best][0] * float(ratios[best])
     # Median of |x| of a normal variable: 0.6745 σ.
-    found = np.abs(np.concatenate([residual.real, residual.imag]) if phase_known else residual.real)
-    return max(float(np.median(found)) / 0.6745, 1e-4) if found.size else math.nan
+    return max(float(np.median(parts / np.sqrt(shares[0]))) / 0.6745, 1e-4), 0.0
 
 
 def jumps_of(response: ComplexArray) -> list[tuple[int, int]]:

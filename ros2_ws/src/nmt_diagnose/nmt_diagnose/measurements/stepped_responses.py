@@ -186,9 +186,9 @@ class SteppedResponses(ResponseLines):
         """Measured responses of rows."""
         return np.asarray(self.measured[level, channel])
 
-    def with_scatter(self, before: float, after: float, degrees: float) -> SteppedResponses:
-        """The measurement whose scatter, of some standard deviation before, has another after."""
-        noise = np.sqrt(np.maximum(self.noise**2 - before**2, 0.0) + after**2)
+    def with_scatter(self, before: FloatArray, factor: float, degrees: float) -> SteppedResponses:
+        """The measurement whose lines scatter by a factor more than some standard deviations, (lines,)."""
+        noise = np.sqrt(np.maximum(self.noise**2 - before**2, 0.0) + (factor * before) ** 2)
         return replace(self, noise=noise, noise_degrees=degrees)
 
     def held_levels(self, observations: Observations, number: int) -> HeldLevels | None:

@@ -31,6 +31,11 @@ class NoiseThresholds:
         "Fewer lines do not show their scatter.",
         "tests/diagnose/test_threshold_edges_of_records.py::test_a_threshold_decides[noise.stepped_fewest_for_scatter]",
     )  # fmt: skip
+    stepped_floor_log_likelihood: float = threshold(
+        5.0, "1",
+        "Likelihood that a noise common to all lines has to gain.",
+        "tests/diagnose/test_threshold_edges_of_fits.py::test_a_threshold_decides[noise.stepped_floor_log_likelihood]",
+    )  # fmt: skip
     median_relative_std: float = threshold(
         1.7, "1",
         "Relative error of a median-based scatter, times √n (simulated).",

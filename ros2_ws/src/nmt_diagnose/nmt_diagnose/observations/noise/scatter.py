@@ -91,23 +91,25 @@ def neighbour_cubics(x: FloatArray) -> NeighbourCubics:
 
 def with_shared_scatter(observations: Observations) -> Observations:
     """The observations with the noise of sweeps that is estimated from their scatter taken together, by channel."""
-    groups: dict[str, list[int]] = {}
+    rows, groups = observations.rows, dict[str, list[int]]()
     for number, test in enumerate(observations.tests):
         key = None if test.lines is None else test.lines.scatter_key
-        if key is not None and np.any(observations.rows.test == number):
+        if key is not None and np.any(rows.test == number):
             groups.setdefault(repr(key), []).append(number)
     tests, std = list(observations.tests), observations.std.copy()
     notes = list(observations.notes)
     for numbers in groups.values():
         if len(numbers) < 2:
             continue
-        rows_of_test = [observations.rows.test == number for number in numbers]
-        before = np.array([float(std[selected][0]) for selected in rows_of_test])
+        rows_of_test = [rows.test == number for number in numbers]
+        before = np.array([float(np.median(std[selected & (rows.channel == 0)])) for selected in rows_of_test])
         after, degrees = shrunk(before, np.array([tests[number].noise_degrees for number in numbers]))
         for number, selected, old, new, free in zip(numbers, rows_of_test, before, after, degrees, strict=True):
-            std[selected] *= new / old  # of the first channel; others scatter in proportion
             if (lines := tests[number].lines) is not None:
-                tests[number] = lines.with_scatter(float(old), float(new), float(free))
+                first = np.flatnonzero(selected & (rows.channel == 0))
+                own = std[first[np.unique(rows.level[first], return_index=True)[1]]]
+                tests[number] = lines.with_scatter(own, float(new / old), float(free))
+            std[selected] *= new / old  # of the first channel; others scatter in proportion
         low, high = (f"{100.0 * value:.2g}" for value in (after.min(), after.max()))
         span = f"{low} %" if low == high else f"{low} to {high} %"
         name = tests[numbers[0]].channels[0].name

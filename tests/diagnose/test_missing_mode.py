@@ -22,7 +22,7 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.fit.best_fit import StartName
 from nmt_diagnose.fit.candidate_starts import starts_of
 from nmt_diagnose.fit.fitting import Start
-from nmt_diagnose.fit.low_level_modes import Modes, measured_modes, more_modes, side_by_side
+from nmt_diagnose.fit.low_level_modes import Modes, measured_modes, more_modes, moved, side_by_side
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.prediction.operating_range import operating_range, receptances
 from nmt_diagnose.search import search as searching
@@ -211,6 +211,15 @@ def test_what_moves_modes_adds_none():
     assert more([20.0, 45.0, 60.0], [22.0, 61.0], [0, -1, 1])
     assert not more([20.0, 45.0, 60.0], [22.0, 50.0, 70.0], [0, 1, 2])
     assert not more([20.0, 60.0, 89.0], [22.0, 62.0, 95.0], [0, 1, -1])
+
+
+def test_a_mode_far_away_that_is_alike_has_moved():
+    """The first has moved by a third of an octave and more; the second is like none that is left."""
+    poles = 2.0j * np.pi * np.array([40.0, 200.0])
+    found = Modes(poles, np.array([[1.0, 2.0], [1.0, 0.0]], dtype=complex))
+    model = Modes(2.0j * np.pi * np.array([20.0, 100.0]), np.array([[1.0, 2.1], [0.0, 1.0]], dtype=complex))
+    np.testing.assert_array_equal(moved(found, model, found.likeness(model), np.array([-1, -1])), [0, -1])
+    np.testing.assert_array_equal(moved(found, model, found.likeness(model), np.array([0, -1])), [0, -1])
 
 
 def test_a_mode_that_lines_cannot_show_does_not_count():

@@ -404,7 +404,7 @@ def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: P
 def test_a_noise_that_all_lines_have_is_seen_where_the_response_is_small() -> None:
     hz, generator = np.linspace(20.0, 200.0, 300), np.random.default_rng(5)
     modes = ((1.0, 40.0), (0.7, 95.0), (-0.4, 160.0))
-    response = sum(-(hz**2) * a / (own**2 - hz**2 + 0.02j * own * hz) for a, own in modes)
+    response = sum(-(hz**2) * a / (f**2 - hz**2 + 0.02j * f * hz) for a, f in modes)
     noise = generator.standard_normal((4, hz.size))
     noisy = response * (1.0 + 0.005 * (noise[0] + 1j * noise[1])) + 0.02 * (noise[2] + 1j * noise[3])
     relative, common = scatter_of_lines(hz, noisy)

@@ -156,6 +156,21 @@ def test_damping_factors_scale_the_modes_they_name_and_the_last_all_above():
     np.testing.assert_allclose(after / before, expected, rtol=1e-6)
 
 
+def test_damping_that_couples_modes_follows_their_factors_and_stays_a_loss():
+    """A soft clamp without damping of its own couples the modes of a beam that is damped by its stiffness."""
+    soft = "structure.clamp_rotational_stiffness_nm_rad=200"
+    plain, twice, small = (
+        build_structure(beam(soft, f"structure.damping_factors={each}"))
+        for each in ("[]", "[2.0]", "[1.0, 0.01, 0.01]")
+    )
+    size = np.abs(plain.damping).max()
+    np.testing.assert_allclose(twice.damping, 2.0 * plain.damping, atol=1e-8 * size)
+    _, shapes = eigh(plain.stiffness, plain.mass)
+    coupled = shapes.T @ plain.damping @ shapes, shapes.T @ small.damping @ shapes
+    assert coupled[1][0, 1] == pytest.approx(0.1 * coupled[0][0, 1], rel=1e-6)
+    assert np.linalg.eigvalsh(small.damping).min() > -1e-8 * size
+
+
 def test_loss_factor_in_the_time_domain_gives_the_resonance_of_complex_stiffness():
     structure = {"kind": "chain", "masses_kg": [MASS], "ground_springs_n_m": [SPRING], "loss_factor": 0.05}
     omega = np.sqrt(SPRING / MASS)

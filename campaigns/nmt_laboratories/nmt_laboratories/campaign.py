@@ -1,5 +1,5 @@
 """Makes cases of the laboratories two (four rigs), three (a free beam), four (robots) for ``./nmt blind laboratory``,
-and healthy tables of all whose stated uncertainties are off.
+healthy tables of all whose stated uncertainties are off, and cantilevers with soft clamps.
 
 Run in ``./nmt shell``::
 
@@ -25,6 +25,7 @@ LABORATORIES = {
     "three": "laboratory_three",
     "four": "laboratory_four",
     "healthy": "healthy_tables",
+    "clamps": "soft_clamps",
 }
 
 

@@ -268,6 +268,17 @@ def paired(found: Modes, model: Modes, likeness: FloatArray) -> NDArray[np.int64
     return which
 
 
+def moved(found: Modes, model: Modes, likeness: FloatArray, which: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Pairs (k,) with those that lie far apart and are alike: where responses have no more modes, these have moved."""
+    which = which.copy()
+    alone, free = np.flatnonzero(which < 0), np.setdiff1d(np.arange(model.poles.size), which)
+    if alone.size and free.size:
+        measured, modelled = linear_sum_assignment(-likeness[np.ix_(alone, free)])
+        alike = likeness[alone[measured], free[modelled]] > THRESHOLDS.modes.alike_mac
+        which[alone[measured[alike]]] = free[modelled[alike]]
+    return which
+
+
 def more_modes(found: Modes, model: Modes, lines: FloatArray, which: np.ndarray) -> bool:
     """Whether responses show more resonances in their band than the model has there or just outside.
 
@@ -427,6 +438,8 @@ class LowLevelModes:
             return
         likeness = found.likeness(model)
         which = paired(found, model, likeness)
+        if not more_modes(found, model, together.lines, which):
+            which = moved(found, model, likeness, which)
         for frequency, sentence in modes_that_lack(together.name, together.band_hz, found, which):
             if all(
                 abs(math.log(frequency / reported_hz)) >= THRESHOLDS.modes.same_log_frequency

@@ -89,6 +89,8 @@ def operating_range(
                 best, omega = float(probe_values.max()), frequency
     if best <= 0.0:
         displacement = dict.fromkeys(points, 1e-3)
+        if isinstance(rig.structure, BeamSection):
+            rotation = dict.fromkeys(points, 1e-3 / rig.structure.length_m)
         omega = 2.0 * np.pi * mode_under_test(rig)
     mass, inertia, pair_mass = _effective_masses(rig, omega)
     imposed = [scales for test in tests if (scales := test.imposed_scales) is not None]

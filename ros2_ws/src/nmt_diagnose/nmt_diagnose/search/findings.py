@@ -140,8 +140,8 @@ def find(
     beyond_effects = modes.disordered or certain
     scales = factors(observations, as_given.values, null.fit.prediction.values, fitted)
     candidates = () if modes.disordered or scales else library_candidates(rig, operating, settings.withheld)
-    if certain:
-        # No other effect makes a resonance.
+    if certain and modes.missing:
+        # No other effect makes a resonance; without one in excess, what moves a mode may explain it.
         candidates = tuple(candidate for candidate in candidates if candidate.effect.name == MISSING_MODE)
     search = Search(data, rig, parameters, candidates, tell)
     scores = cache(partial(search.scores, null))

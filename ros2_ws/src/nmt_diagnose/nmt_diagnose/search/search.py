@@ -228,7 +228,7 @@ class Search:
         return result
 
     def _slopes(self, base: FittedExplanation, chosen: Sequence[tuple[int, FloatArray]]) -> list[FloatArray]:
-        """Derivatives of the rows over strengths at zero, over σ."""
+        """Derivatives of the rows over strengths at zero, over σ; zeros where the model cannot be solved."""
         added = [self.candidates[number] for number, _ in chosen]
         parametrisation = self.parametrisation((*base.candidates, *added), base.fit.parametrisation.spreads)
         theta = np.concatenate([base.fit.theta, *[at_zero(c, s) for c, (_, s) in zip(added, chosen, strict=True)]])
@@ -239,7 +239,10 @@ class Search:
         try:
             columns = self.data.forward.jacobian(parametrisation, theta, base.fit.prediction, which)
         except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
-            return [np.zeros(self.data.sigma.size) for _ in chosen]
+            if len(chosen) == 1:
+                return [np.zeros(self.data.sigma.size)]
+            # One that the model cannot be solved with must not take the others along.
+            return [column for one in chosen for column in self._slopes(base, [one])]
         return list(self.data.slopes(columns, base.fit.errors.values).T)
 
     def best(
@@ -564,10 +567,18 @@ class Search:
             for first in starts_of(candidate)[:1]
         ]
         left = modes.promises(parametrisation, theta, begun)
-        most = THRESHOLDS.search.first_effects * THRESHOLDS.search.first_locations
-        promising = [begun[number] for number in np.argsort(left)[:most] if math.isfinite(left[number])]
+        # What shifts a mode by many times what is asked of it promises little to first order: each effect has its turn.
+        of_effect: dict[str, int] = {}
+        promising = []
+        for number in np.argsort(left):
+            name = begun[number][0].candidates[0].effect.name
+            of_effect[name] = of_effect.get(name, 0) + 1
+            if math.isfinite(left[number]) and of_effect[name] <= THRESHOLDS.search.first_locations:
+                promising.append(begun[number])
         solved = [(wider, *modes.start(wider, values)) for wider, values in promising]
-        solved.sort(key=lambda it: it[2])
+        solved = sorted(solved, key=lambda it: it[2])[
+            : THRESHOLDS.search.first_effects * THRESHOLDS.search.first_locations
+        ]
         found = [self.best(wider, [Start(StartName.MODES, values)], widen=True) for wider, values, _ in solved]
         return best_of([explanation for explanation in found if explanation is not None])
 

@@ -199,12 +199,14 @@ class Structure(PointMotion):
         """The structure with the damping ratios of its undamped modes times ``factors``, lowest first.
 
         The last factor holds for all modes above, too. What the law of damping says of a mode is a guess until the mode
-        is measured. Damping that couples modes stays.
+        is measured. What couples two modes takes the geometric mean of their factors: it stays a loss.
         """
-        weighted, dampings = self._undamped[1], self._modal_dampings
-        each = np.full(dampings.size, float(factors[-1]))
-        each[: len(factors)] = factors[: dampings.size]
-        return replace(self, damping=self.damping + (weighted * ((each - 1.0) * dampings)) @ weighted.T)
+        weighted = self._undamped[1]
+        shapes = np.linalg.solve(self.mass, weighted)
+        each = np.full(weighted.shape[1], float(factors[-1]))
+        each[: len(factors)] = factors[: each.size]
+        scaled = weighted * np.sqrt(each)
+        return replace(self, damping=scaled @ (shapes.T @ self.damping @ shapes) @ scaled.T)
 
     def with_frequency_factors(self, factors: Sequence[float]) -> Structure:
         """The structure with the frequencies of its lowest undamped modes times ``factors``, shapes and damping kept.
@@ -215,13 +217,6 @@ class Structure(PointMotion):
         each = np.ones(squares.size)
         each[: len(factors)] = factors[: squares.size]
         return replace(self, stiffness=self.stiffness + (weighted * ((each**2 - 1.0) * squares)) @ weighted.T)
-
-    @cached_property
-    def _modal_dampings(self) -> Array:
-        """Damping (n,) of each undamped mode over its modal mass, 1/s."""
-        weighted = self._undamped[1]
-        shapes = np.linalg.solve(self.mass, weighted)
-        return np.asarray(np.einsum("ik,ij,jk->k", shapes, self.damping, shapes))
 
     @cached_property
     def _undamped(self) -> tuple[Array, Array]:

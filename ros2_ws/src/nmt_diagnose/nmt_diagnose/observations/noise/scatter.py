@@ -107,8 +107,8 @@ def with_shared_scatter(observations: Observations) -> Observations:
         for number, selected, old, new, free in zip(numbers, rows_of_test, before, after, degrees, strict=True):
             if (lines := tests[number].lines) is not None:
                 first = np.flatnonzero(selected & (rows.channel == 0))
-                own = std[first[np.unique(rows.level[first], return_index=True)[1]]]
-                tests[number] = lines.with_scatter(own, float(new / old), float(free))
+                of_lines = std[first[np.unique(rows.level[first], return_index=True)[1]]]
+                tests[number] = lines.with_scatter(of_lines, float(new / old), float(free))
             std[selected] *= new / old  # of the first channel; others scatter in proportion
         low, high = (f"{100.0 * value:.2g}" for value in (after.min(), after.max()))
         span = f"{low} %" if low == high else f"{low} to {high} %"

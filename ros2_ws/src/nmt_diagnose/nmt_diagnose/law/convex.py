@@ -8,8 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
-from scipy.linalg.lapack import dtrtrs
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.choose.bounded import constrained
@@ -63,22 +61,6 @@ class ConvexFit:
         self.tt = np.einsum("lm,lm->l", target, target)
         self.nn = np.einsum("lmi,lmj->lij", nuisance, nuisance)
         self.nt = np.einsum("lmi,lm->li", nuisance, target)
-        normal = self.nn.sum(axis=0) + np.eye(self.nn.shape[1])
-        self.lower = cholesky(normal, lower=True)
-        self.half = solve_triangular(self.lower, self.nt.sum(axis=0), lower=True)
-
-    def cost(self, columns: FloatArray, signed: BoolArray) -> float:
-        """:attr:`Solution.cost` of a fit to columns (L, M, k), without the rest of it."""
-        flat = columns.reshape(-1, columns.shape[2])
-        gram = flat.T @ flat
-        norms = np.sqrt(gram.diagonal())
-        share = 1.0 / np.where(norms > 0.0, norms, 1.0)
-        across = flat.T @ self.nuisance.reshape(len(flat), -1)
-        half = dtrtrs(self.lower, across.T, lower=1)[0]
-        right = share * (flat.T @ self.target.ravel() - half.T @ self.half)
-        # At the optimum a coefficient takes off its product with its right-hand side, 0 at its bound.
-        theta = constrained(np.multiply.outer(share, share) * (gram - half.T @ half), right, 0, signed)
-        return float(self.tt.sum() - self.half @ self.half - theta @ right)
 
     def solve(self, columns: FloatArray, signed: BoolArray) -> Solution:
         """Fit columns (L, M, k); ``signed`` (k,) of those that may have either sign."""

@@ -38,7 +38,7 @@ def delay_of(records: MovedRecords, worth: FloatArray, ratio: float) -> int:
 
     def cost(delay: int) -> float:
         if delay not in costs:
-            costs[delay] = ConvexFit(records.moved(delay), errors, [], records.names).cost(columns, signed)
+            costs[delay] = ConvexFit(records.moved(delay), errors, [], records.names).solve(columns, signed).cost
         return costs[delay]
 
     most = max(_SHORTEST, int(_TURN * records.samples_of_a_turn))

@@ -302,36 +302,14 @@ def _start(a: FloatArray, c: FloatArray, gain: FloatArray, measured: FloatArray)
     return np.asarray(np.linalg.lstsq(flat / sizes, surprises.ravel(), rcond=1e-6)[0] / sizes)
 
 
-@njit(cache=True)
 def _filtered(
     a: FloatArray, c: FloatArray, gain: FloatArray, measured: FloatArray, start: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Predicted states (samples, d) and what the channels differ from them by (samples, c)."""
-    size, rows = a.shape[0], c.shape[0]
-    predicted = np.zeros((measured.shape[0], size))
-    surprises = np.zeros(measured.shape)
-    state, corrected = start.copy(), np.zeros(size)
-    for n in range(measured.shape[0]):
-        for i in range(rows):
-            value = measured[n, i]
-            for j in range(size):
-                value -= c[i, j] * state[j]
-            surprises[n, i] = value
-        for j in range(size):
-            predicted[n, j] = state[j]
-            value = state[j]
-            for i in range(rows):
-                value += gain[j, i] * surprises[n, i]
-            corrected[j] = value
-        for i in range(size):
-            value = 0.0
-            for j in range(size):
-                value += a[i, j] * corrected[j]
-            state[i] = value
-    return predicted, surprises
+    predicted = _recursion(a - a @ gain @ c, measured[:-1] @ (a @ gain).T, start)
+    return predicted, measured - predicted @ c.T
 
 
-@njit(cache=True)
 def _smoothed(
     a: FloatArray,
     c: FloatArray,
@@ -341,32 +319,21 @@ def _smoothed(
     predicted: FloatArray,
     surprises: FloatArray,
 ) -> FloatArray:
-    """States (samples, d) by all samples."""
-    size, rows = a.shape[0], c.shape[0]
-    result = np.zeros(predicted.shape)
-    behind, before, back = np.zeros(size), np.zeros(size), np.zeros(rows)
-    for n in range(predicted.shape[0] - 1, -1, -1):
-        # (1 − K C)ᵀ behind − Cᵀ S⁻¹ e
-        for i in range(rows):
-            value = 0.0
-            for j in range(rows):
-                value += inverse[i, j] * surprises[n, j]
-            for j in range(size):
-                value += gain[j, i] * behind[j]
-            back[i] = value
-        for j in range(size):
-            value = behind[j]
-            for i in range(rows):
-                value -= c[i, j] * back[i]
-            before[j] = value
-        for i in range(size):
-            value = predicted[n, i]
-            for j in range(size):
-                value -= p[i, j] * before[j]
-            result[n, i] = value
-        for i in range(size):
-            value = 0.0
-            for j in range(size):
-                value += a[j, i] * before[j]
-            behind[i] = value
-    return result
+    """States (samples, d) by all samples: the surprises of later ones come back by the filter's transpose."""
+    told = (surprises @ inverse @ c)[::-1]
+    return np.asarray(predicted + _recursion((a - a @ gain @ c).T, told[1:], told[0])[::-1] @ p)
+
+
+@njit(cache=True)
+def _stepped(turn: FloatArray, driven: FloatArray, states: FloatArray) -> None:
+    for n in range(1, states.shape[0]):
+        np.dot(turn, states[n - 1], states[n])
+        states[n] += driven[n - 1]
+
+
+def _recursion(turn: FloatArray, driven: FloatArray, start: FloatArray) -> FloatArray:
+    """States x₀ = ``start``, xₙ₊₁ = ``turn`` xₙ + ``driven``ₙ, one for each sample that drives and the last."""
+    states = np.empty((len(driven) + 1, start.size))
+    states[0] = start
+    _stepped(np.ascontiguousarray(turn), np.ascontiguousarray(driven), states)
+    return states

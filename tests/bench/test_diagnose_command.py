@@ -154,8 +154,8 @@ def test_a_next_test_runs_the_recorded_rig_and_keeps_the_answer(
     assert head["probability"] > 0.7
     assert [bag["origin"]["kind"] for bag in answer["inputs"]["bags"]] == ["simulated", "simulated"]
     shown = capsys.readouterr().out
-    assert re.search(r"These recordings would show \d+ effects, such as .* list the weakest of", shown)
-    assert "The weakest that these recordings would show" not in shown
+    assert re.search(r"These recordings would show \d+ effects, such as .* list the smallest of", shown)
+    assert "Smallest effects that these recordings would show" not in shown
 
     with Session(plan_test("beam", [0.3], exciter=5, window_periods=5), tmp_path / "own", extract=False) as session:
         session.run()

@@ -297,7 +297,7 @@ def test_a_column_of_levels_makes_a_test_for_each(tmp_path: Path) -> None:
     # The jump down from the upper branch of the highest level is seen, and its lines are left out.
     high = folds(5.0)[1]
     assert np.min(np.abs(tests[2].lines_hz - high)) > 0.05
-    assert any("it jumps between" in note for note in observations.notes)
+    assert any("the response jumps between" in note for note in observations.notes)
     names = [split.name for split in splits(observations)]
     assert names == ["every second level", "the highest levels"]
     odd = splits(observations)[0].held_out
@@ -398,7 +398,7 @@ def test_imported_windows_of_a_stepped_sine_are_a_frequency_response(tmp_path: P
         assert np.max(np.abs(test.measured[:, 0] / want - 1.0) / test.noise) < 5.0
         assert set(np.round(test.lines_hz, 3)) <= set(np.round(mine, 3))
     # Up and down differ where there are two branches, and one jump each is left out.
-    assert sum("it jumps between" in note for note in observations.notes) == 2
+    assert sum("the response jumps between" in note for note in observations.notes) == 2
 
 
 def test_a_noise_that_all_lines_have_is_seen_where_the_response_is_small() -> None:

@@ -113,7 +113,7 @@ def test_evaluate_a_linear_test(run: Callable[[str], str]) -> None:
     assert values["damping_ratios"] == pytest.approx([damping for _, damping, _ in MODES], rel=0.02)
     rows = list(csv.DictReader(Path("out/linear/frf.csv").read_text(encoding="utf-8").splitlines()))
     assert float(rows[-1]["frequency_hz"]) > 300.0
-    assert "2 modes fitted and scaled" in Path("out/linear/report.html").read_text(encoding="utf-8")
+    assert "2 modes identified and mass-normalised" in Path("out/linear/report.html").read_text(encoding="utf-8")
     # The command writes what the function gives.
     assert main(["linear", "--bag", "out/linear/bag", "--out", "out/again"]) == 0
     assert json.loads(Path("out/again/linear.json").read_text(encoding="utf-8")) == values

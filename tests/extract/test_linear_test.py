@@ -367,7 +367,7 @@ def test_a_recording_gives_what_its_windows_give(resonator, tmp_path):
     assert own.test.settings.band_hz == (12.0, 1900.0)
     page = linear_page(result, rig, exact_modes(rig))
     text = unescape(re.sub(r"<[^>]+>", " ", re.sub(r"<(style|script|svg)\b.*?</\1>", "", page, flags=re.S)))
-    assert f"{len(upper.modes)} modes fitted and scaled" in text
+    assert f"{len(upper.modes)} modes identified and mass-normalised" in text
     assert uncertain(upper.modes[0].frequency_hz, upper.modes[0].frequency_std) in text
     assert result.check.sentence in text
     for heading in ("Against the model", "Mass-normalised shape at", "Plant: structure and exciter", "Estimated mass"):

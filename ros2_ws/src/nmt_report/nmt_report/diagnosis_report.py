@@ -191,7 +191,11 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
         note += " among the effects of the library" if is_partial(d) else ""
         cards.append(("Probability", probability_text(head.probability), note))
         cards.append(
-            ("Strength of the effect", f"{plain(head.sigmas, 1)} × its uncertainty", parameters_text(head.parameters))
+            (
+                "Size of the effect",
+                parameters_text(head.parameters),
+                f"{plain(head.sigmas, 1)} times what scatter could do",
+            )
         )
     if d.verdict is Verdict.UNKNOWN:
         cards.append(("Not in the library", probability_text(d.probabilities.get(UNKNOWN, math.nan)), "probability"))
@@ -249,7 +253,7 @@ def _ranking(d: Diagnosis) -> Table:
         rows.append((item.probability, Row(cells)))
     rest, p_rest = rest_text(d)
     partial = is_partial(d)
-    unnamed = "a source at one of the places that follows no named law"
+    unnamed = "an unknown force or error at one of the places, of no form in the library"
     for label, title, p, what in (
         (NULL, effect_text(NULL), d.probabilities.get(NULL, 0.0), "the model as it is, its own parameters re-fitted"),
         (UNKNOWN, rest, p_rest, unnamed),
@@ -266,14 +270,15 @@ def _ranking(d: Diagnosis) -> Table:
         PageColumn("Explanation", kind="text wrap"),
         PageColumn("Place", kind="text wrap"),
         PageColumn("Parameters", "± standard uncertainty", "text wrap"),
-        PageColumn("Strength", "× its uncertainty"),
+        PageColumn("Strength", "over its scatter"),
         PageColumn("Gap closed", "%, held-out data"),
     )
     note = (
-        "All explanations are fitted to the same data with the model’s own parameters free; the probability weighs how "
-        "well each fits against how many degrees of freedom it has. Gap closed: share of the residual beyond the noise "
-        "that goes, on data kept out of the fit, with the interval of 90 %; below zero the explanation predicts worse "
-        "than the model without it. Only the most probable ones are tried on held-out data."
+        "All explanations are fitted to the same data with the model’s own parameters free. The probability weighs the "
+        "fit against the number of parameters. Strength: over the standard deviation that scatter of the data alone "
+        "gives it; ± also holds the uncertainty of gains and parameters. Gap closed: share of the residual beyond "
+        "noise that the explanation removes from held-out data, with its 90 % interval; negative: it predicts worse "
+        "than the model without it. Only the most probable explanations are judged on held-out data."
     )
     return Table(head, [row for _, row in rows], f"{answers_text(d.answers)} {note}".lstrip())
 
@@ -290,10 +295,7 @@ def _places(d: Diagnosis) -> Table | None:
         for number, item in enumerate(d.where)
     ]  # fmt: skip
     head = [PageColumn(name, kind="text") for name in ("Place", "Most probably", "Probability")]
-    note = (
-        "Probability: of all explanations at the place together, named and unnamed, so it is at least that of any one "
-        "of them."
-    )
+    note = "Probability: sum over all explanations at the place, those outside the library included."
     return Table(head, rows, note)
 
 
@@ -311,7 +313,7 @@ def _gap(d: Diagnosis) -> Table:
         for name, value, kind in steps
         if math.isfinite(value)
     ]
-    held = f"Held out from the fit: {'; '.join(gap.held_out)}." if gap.held_out else "Nothing is held out from the fit."
+    held = f"Held out in turn: {'; '.join(gap.held_out)}." if gap.held_out else "No data are held out."
     return Table((PageColumn("Residual, rms", kind="text"), PageColumn("standard deviations", kind="text")), rows, held)
 
 
@@ -340,8 +342,7 @@ def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
     if after:
         head += [PageColumn("After", "standard deviations"), PageColumn("After", "rms")]
     note = (
-        f"Bold: more than {_LARGE:g} standard deviations. Predicted without the level or the test that is judged, so "
-        "that an uncertain parameter shows here too."
+        f"Bold: more than {_LARGE:g} standard deviations. Each level or test is predicted from a fit that excludes it."
     )
     return Table([*head, PageColumn("Values")], rows, note, "By observable, on held-out data")
 
@@ -421,7 +422,7 @@ def _calibration(d: Diagnosis, rig: Rig) -> Table | None:
                 value_text(item.start, math.nan, item.unit),
                 value_text(item.to, item.std, item.unit),
                 _signed(change, 2),
-                plain(100.0 * item.prior_std, 0),
+                significant(100.0 * item.prior_std, 2),
                 _bar(1.0 - learnt**2) if math.isfinite(learnt) else "",
                 _signed(item.sigmas, 1),
             ))
@@ -431,14 +432,14 @@ def _calibration(d: Diagnosis, rig: Rig) -> Table | None:
         PageColumn("From"),
         PageColumn("To", "± standard uncertainty"),
         PageColumn("Change", "%"),
-        PageColumn("Known beforehand to", "%"),
+        PageColumn("Prior uncertainty", "%"),
         PageColumn("Learnt from these tests", kind="text"),
-        PageColumn("Change", "× its uncertainty"),
+        PageColumn("Change", "over ±"),
     )
     which = "with the effect in the model" if d.verdict is Verdict.EFFECT else "without any effect"
     note = (
-        f"Re-fitted {which}. Learnt: how much of the variance known beforehand the tests took away; an empty bar means "
-        "that they say nothing about the parameter, and its value is the one given."
+        f"Re-fitted {which}. Learnt: share of the prior variance that the tests remove. An empty bar: the tests do not "
+        "determine the parameter, and it keeps its value."
     )
     return Table(head, rows, note)
 
@@ -529,7 +530,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
             PageColumn("From", "five standard deviations", "text wrap"),
         )  # fmt: skip
         rows = [Row(cells) for cells in weakest]
-        tables.append(Table(columns, rows, heading="The weakest that these recordings would show"))
+        tables.append(Table(columns, rows, heading="Smallest effects that these recordings would show"))
     return tables
 
 
@@ -569,7 +570,7 @@ def _candidates(d: Diagnosis) -> Table | None:
         PageColumn("χ²"),
         PageColumn("Values"),
         PageColumn("Parameters", "added"),
-        PageColumn("Strength", "× its uncertainty"),
+        PageColumn("Strength", "over its scatter"),
         PageColumn("Converged"),
         PageColumn("Left out", "as", "text"),
     )

@@ -146,7 +146,7 @@ def visible_table(diagnosis: Diagnosis) -> Table | None:
     """The weakest that each effect could be and still be seen."""
     if not diagnosis.visible:
         return None
-    table = _new("The weakest that these recordings would show")
+    table = _new("Smallest effects that these recordings would show")
     for head in ("effect", "where it would show first", "from"):
         table.add_column(head, overflow="fold")
     for item in diagnosis.visible:
@@ -163,7 +163,7 @@ def visible_sentence(diagnosis: Diagnosis) -> str:
     example = f"{effect_text(item.effect)} from {smallest_text(item.parameters)}"
     return (
         f"These recordings would show {count} effect{'s' * (count > 1)}, such as {example} at "
-        f"{place_text(item.place, item.detail)}; the report and --verbose list the weakest of each."
+        f"{place_text(item.place, item.detail)}; the report and --verbose list the smallest of each."
     )
 
 

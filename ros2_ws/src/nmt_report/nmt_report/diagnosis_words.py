@@ -46,7 +46,9 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
             named = f"{class_text(head)} ({place_text(head.place, head.detail)})"
             rest = f"{percent(1.0 - closed, 1)} is" if math.isfinite(closed) else "the rest is"
             return f"{named} explains {part} of the gap; {rest} not in the library", "partly"
-        text = f"the model lacks {class_text(head)} ({place_text(head.place, head.detail)})"
+        altered = effect_named(head.effect).alters if "+" not in head.effect else False
+        named = f"the model's {class_text(head)} is off" if altered else f"the model lacks {class_text(head)}"
+        text = f"{named} ({place_text(head.place, head.detail)})"
         if diagnosis.remainder is not None:
             share = 100.0 * diagnosis.remainder.share
             text += f", which explains {max(0.0, 100.0 - share):.0f} % of the gap and leaves {share:.0f} %"
@@ -99,7 +101,7 @@ def class_text(item: Ranked) -> str:
 def answers_text(answers: Sequence[Answer]) -> str:
     """The answers that together hold 95 % of the probability, in words; empty where they are not known."""
     words = [_alternatives_text(answer.effects) if answer.effects else effect_text(answer.kind) for answer in answers]
-    return f"Answers that together hold 95 % of the probability: {'; '.join(words)}." if words else ""
+    return f"95 % credible set: {'; '.join(words)}." if words else ""
 
 
 def _alternatives_text(names: Sequence[str]) -> str:

@@ -86,8 +86,8 @@ def history_figure(data: RunReportData) -> ReportFigure | None:
     phase.set_xlim(0.0, data.end_sample / data.sample_rate or float(time[-1]))
     marks = "Green lines: confirmed locks; blue bands: the windows that were extracted; numbers: levels."
     caption = (
-        f"Top: state of the loop. {_CROWDED if _crowded(data) else marks} Phase error: deviation of the force from "
-        "velocity phase at the drive point, linear within ±1°, logarithmic beyond."
+        f"Top: state of the loop. {_CROWDED if _crowded(data) else marks} Phase error: phase of the force against "
+        "the velocity at the drive point; the axis is linear within ±1° and logarithmic beyond."
     )
     label = "Loop state, excitation frequency and phase error over bench time"
     return ReportFigure(

@@ -95,9 +95,13 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
     name = rig.name if rig is not None else str(result.run.get("rig") or "Recording")
     check = result.check
     kind = "good" if check is None or check.is_linear else "partly"
-    text = f"{len(test.modes)} modes fitted and scaled"
+    text = f"{len(test.modes)} modes identified and mass-normalised"
     if check is not None:
-        text += "; linear at this level" if check.is_linear else "; not linear at this level"
+        text += (
+            "; the response is linear at this level"
+            if check.is_linear
+            else "; the response is not linear at this level"
+        )
     cards = [
         ("Target mode", f"{plain(target.frequency_hz, 4)} Hz", f"± {significant(target.frequency_std, 1)} Hz"),
         (
@@ -108,7 +112,13 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
     ]
     if test.plant is not None:
         plant = test.plant
-        cards.append(("With exciter", f"{plain(plant.frequency_hz, 3)} Hz", f"{plain(100 * plant.damping_ratio, 3)} %"))
+        cards.append(
+            (
+                "Target mode with exciter",
+                f"{plain(plant.frequency_hz, 3)} Hz",
+                f"{plain(100 * plant.damping_ratio, 3)} %",
+            )
+        )
     facts = [
         ("Run", str(result.run.get("run_id") or "")),
         ("Started", str(result.run.get("started") or "").replace("T", " ")),
@@ -204,8 +214,8 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
             )
         rows.append(row)
     note = (
-        "Explained: share of the response’s power around the mode that the fit explains. From averages: poles of the "
-        "Hann-windowed averages (start of the fit), which the window widens. Complexity: ‖Im ψ‖/‖ψ‖."
+        "Explained: share of the response’s power around the mode that the fit explains. From averages: first poles, "
+        "from Hann-windowed averages; the window adds to their damping. Complexity: ‖Im ψ‖/‖ψ‖."
     )
     tables = [text_table(head, rows, note), _shape_table(test)]
     if exact is not None:
@@ -218,9 +228,7 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
             ("1 − MAC", ""),
             ("Δscale", "%"),
         ]
-        note = (
-            "Exact modes of the rig’s model with friction sticking, nearest in frequency; the test uses nothing of it."
-        )
+        note = "Nearest modes of the rig’s model without slip, for comparison; the identification does not use them."
         tables.append(text_table(head, errors_rows, note))
     return tables + _plant_tables(test)
 
@@ -268,7 +276,7 @@ def _input_table(test: LinearTest) -> Table:
         ]
         for row, (exciter, frf) in enumerate(zip(exciters, test.force_frfs, strict=True))
     ]
-    note = f"Forces at {test.frequency_hz[line]:.5g} Hz; coherence over the band, of several forces the partial one."
+    note = f"Force per volt at {test.frequency_hz[line]:.5g} Hz. γ²: mean coherence over the band, partial if several."
     return text_table(head, rows, note)
 
 
@@ -278,7 +286,9 @@ def _mac_table(test: LinearTest) -> Table:
     mac = np.abs(shapes.conj().T @ shapes) ** 2 / np.outer(norms, norms)
     head = [("MAC", ""), *((f"mode {index + 1}", "") for index in range(len(test.modes)))]
     rows = [[f"mode {index + 1}", *(plain(float(value), 4) for value in row)] for index, row in enumerate(mac)]
-    return text_table(head, rows, "Between the fitted modes at the response points; not zero where these are few.")
+    return text_table(
+        head, rows, "Between the identified modes at the response points; with few points other modes are not at 0."
+    )
 
 
 def _residual_table(test: LinearTest) -> Table:
@@ -324,7 +334,7 @@ def _mass_table(test: LinearTest) -> Table:
         [f"point {point}", *(significant(float(value), 4) for value in row)]
         for point, row in zip(test.points, estimated_mass(test.shapes), strict=True)
     ]
-    return text_table(head, rows, "(Φᵀ)⁺ Φ⁺ of the kept modes; of their number’s rank.")
+    return text_table(head, rows, "(Φᵀ)⁺ Φ⁺ of the kept modes; its rank is their number.")
 
 
 # -- figures ----------------------------------------------------------------------------------------------------------
@@ -417,9 +427,7 @@ def _target_figure(test: LinearTest) -> ReportFigure:
     bottom.set_ylim(lowest + 45.0, lowest + 315.0)
     top.set_ylabel("receptance (m/N)")
     top.legend(loc="upper right")
-    caption = (
-        "Estimators of the averaged spectra, all widened by the window, and the fit of the whole record without one."
-    )
+    caption = "Responses from averaged spectra, which the window broadens, and the fit to the record without window."
     title = f"Target mode at point {test.points[row]}"
     return report_figure(figure, "target", title, caption, label="Frequency response around the target mode")
 
@@ -440,8 +448,8 @@ def _coherence_figure(test: LinearTest) -> ReportFigure:
         axes.set(ylim=(-0.02, 1.05), xlabel="frequency (Hz)", ylabel=f"{partial}coherence γ²")
         axes.legend(loc="lower left", ncols=3)
     caption = (
-        "Lowest value of every stretch of frequency. Dips at narrow resonances are leakage of the window, which the "
-        "fit avoids; dips at antiresonances are noise."
+        "Lowest coherence in each interval of frequency. Dips at narrow resonances are leakage, which the fit avoids; "
+        "dips at antiresonances are noise."
     )
     title = (
         f"{partial}coherence of forces and responses".capitalize() if partial else "Coherence of force and responses"
@@ -494,6 +502,6 @@ def _shape_figure(test: LinearTest) -> ReportFigure:
         if index == 0:
             axes.set_ylabel("Im ψ (1/√kg)")
     figure.subplots_adjust(left=0.1, right=0.98, bottom=0.13, top=0.92, wspace=0.3)
-    caption = "A mode of proportional damping lies on the real axis; the real part goes to loop and extraction."
+    caption = "Proportional damping gives shapes on the real axis. Loop and extraction use the real part."
     label = "Complex shapes at the response points"
     return report_figure(figure, "complexity", "Shapes in the complex plane", caption, label=label)

@@ -92,11 +92,11 @@ def choose_block(
             chosen, cost = length, share
     bandwidth, allowed = wanted_bandwidth(linear, settings), allowed_bandwidth(settings, chosen)
     reason = (
-        f"mode at {frequency:.4g} Hz; the loop's closed form asks for {bandwidth:.3g} rad/s, its dead time of "
-        f"{PHASE.dead_time_blocks:g} blocks allows {allowed:.3g} rad/s"
+        f"for the mode at {frequency:.4g} Hz the loop should have a bandwidth of {bandwidth:.3g} rad/s; its dead time "
+        f"of {PHASE.dead_time_blocks:g} blocks allows {allowed:.3g} rad/s"
     )
     if chosen > USUAL:
-        reason += f"; settling takes {100.0 * cost:.1f} % of a level longer than with blocks of {1e3 * USUAL:g} ms"
+        reason += f"; compared with blocks of {1e3 * USUAL:g} ms a level takes {100.0 * cost:.1f} % longer"
     else:
         reason += "; longer blocks would cost more bench time"
     return BlockChoice(max(2, round(chosen * sample_rate)), tick_blocks(chosen), f"chosen: {reason}")
@@ -110,8 +110,8 @@ def _with_all_bandwidth(
     length = min(max(allowed_bandwidth(settings, 1.0) / bandwidth, shortest), USUAL)
     samples = max(2, int(length * sample_rate))
     reason = (
-        f"the loop has to hold motions that are unstable without it; its closed form asks for {bandwidth:.3g} rad/s, "
-        f"its dead time of {PHASE.dead_time_blocks:g} blocks allows "
+        f"the loop has to hold motions that are unstable without it and should have a bandwidth of {bandwidth:.3g} "
+        f"rad/s; its dead time of {PHASE.dead_time_blocks:g} blocks allows "
         f"{allowed_bandwidth(settings, samples / sample_rate):.3g} rad/s"
     )
     return BlockChoice(samples, tick_blocks(samples / sample_rate), f"chosen: {reason}")

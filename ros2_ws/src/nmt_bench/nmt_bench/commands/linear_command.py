@@ -288,7 +288,7 @@ def _show(result: LinearTestResult, rig: Rig | None, options: LinearOptions, con
         table.add_row(*row)
     console.print(table)
     if exact is not None:
-        console.print("Δ: against the exact sticking modes of the rig's model.")
+        console.print("Δ: deviation from the modes of the rig's model without slip.")
     plant = test.plant
     if plant is not None:
         exciter = "exciter" if len(test.force_frfs) == 1 else "exciters in the target's ratio"

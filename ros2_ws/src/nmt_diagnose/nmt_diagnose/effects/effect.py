@@ -92,6 +92,7 @@ class Effect:
         form: which of several forms of one name it is; empty where they never compete.
         ordinary: standard deviation of the strength in an ordinary measuring chain, where no error of the chain stands
             for it; 0 = one does, or it has no such tolerance.
+        alters: whether it alters a property that the model has; else the model lacks it.
     """
 
     name: str
@@ -106,6 +107,7 @@ class Effect:
     equivalents: Mapping[str, str] = field(default_factory=dict)
     form: str = ""
     ordinary: float = 0.0
+    alters: bool = False
 
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""

@@ -100,17 +100,17 @@ _CHANGE = (EffectParameter("change", "1", signed=True),)
 
 REGION_EFFECTS: tuple[Effect, ...] = (
     Effect(
-        name="local_stiffness", place="structure", equation="K + (factor − 1) K of a region, factor = exp(change)",
+        name="local_stiffness", place="structure", equation="factor × the model's stiffness of a region",
         reference=_UPDATING, keys="structure.regions.NAME.stiffness_factor", parameters=_CHANGE,
         sites=_sites_of("stiffness_n_m", moved=False), change=_with_stiffness,
         report=lambda site, values: {"factor": (exp(values["change"]), "1")},
-        equivalents={"local_mass": "several modes in a random test"},
+        equivalents={"local_mass": "several modes in a random test"}, alters=True,
     ),
     Effect(
-        name="local_mass", place="structure", equation="M + (factor − 1) M of a region, factor = exp(change)",
+        name="local_mass", place="structure", equation="factor × the model's mass of a region",
         reference=_UPDATING, keys="structure.regions.NAME.mass_factor", parameters=_CHANGE,
         sites=_sites_of("mass_kg", moved=True), change=_with_mass, report=_mass_report,
-        equivalents={"local_stiffness": "several modes in a random test"},
+        equivalents={"local_stiffness": "several modes in a random test"}, alters=True,
     ),
 )  # fmt: skip
 SUPPORT_EFFECT = Effect(

@@ -509,7 +509,10 @@ def jumps_of(response: ComplexArray) -> list[tuple[int, int]]:
 
 def jump_note(name: str, low_hz: float, high_hz: float) -> str:
     """Sentence on a jump."""
-    return f"{name}: it jumps between {low_hz:.5g} and {high_hz:.5g} Hz; these lines and any between are left out."
+    return (
+        f"{name}: the response jumps between {low_hz:.5g} and {high_hz:.5g} Hz; these lines and any between are left "
+        "out."
+    )
 
 
 def spread_lines(frequency: FloatArray, response: ComplexArray, wanted: int) -> NDArray[np.int64]:

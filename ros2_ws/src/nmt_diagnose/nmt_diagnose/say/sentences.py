@@ -244,7 +244,7 @@ def where_words(where: Sequence[PlaceShare]) -> str:
     first = where[0]
     detail = f", {detail_words(first.detail)}," if first.detail and detail_words(first.detail) else ""
     text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}"
-    text += f"; all explanations there together have a probability of {_sure(first.p)}"
+    text += f" (probability {_sure(first.p)})"
     others = [item for item in where[1:3] if item.p > THRESHOLDS.verdict.other_location_probability]
     if others:
         text += "; otherwise " + " or ".join(

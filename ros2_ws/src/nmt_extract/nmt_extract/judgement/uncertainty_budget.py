@@ -45,7 +45,7 @@ class UncertaintySource(Enum):
     """Where an uncertainty comes from; the value is its name in reports."""
 
     NOISE = "noise"
-    PHASE = "phase resonance not quite met"
+    PHASE = "residual phase error"
     GAINS = "gains of the channels"
     PHASES = "phases of the channels"
     SHAPES = "linear shapes"

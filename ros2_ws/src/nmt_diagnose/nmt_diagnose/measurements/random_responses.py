@@ -25,6 +25,7 @@ from nmt_diagnose.prediction.linear_model import Fractions, LinearModel
 from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.predictor import Predictor
+from nmt_diagnose.prediction.record_kernel import line_shares
 from nmt_diagnose.prediction.resting_motion import (
     Motion,
     noise_motion,
@@ -153,8 +154,6 @@ class RandomResponses(ResponseLines):
 
 # |W|² of the Hann window at a line's neighbours and at itself.
 HANN = np.array([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
-# |λ| times the sampling interval from which exponentials need no series.
-_SERIES_BELOW = 0.3
 # Moments of a test at which a rig that drifts is taken, of −1 to 1 (Gauss–Legendre), and their weights.
 _MOMENTS, _SHARES = np.polynomial.legendre.leggauss(5)
 
@@ -401,12 +400,9 @@ def held_responses(
     direct = speed + gain * poles
     residues = (position + direct * poles - forces) * driven
     constant = model.feedthrough[rows, r] + direct @ driven
-    x, z = poles * interval_s, np.exp(1j * omega * interval_s)[:, None]
-    first = np.where(np.abs(x) > _SERIES_BELOW, np.expm1(x) / x, sum(x**n / math.factorial(n + 1) for n in range(12)))
-    second = np.where(
-        np.abs(x) > _SERIES_BELOW, (first - 1.0) / x, sum(x**n / math.factorial(n + 2) for n in range(12))
-    )
-    follow = interval_s * (first - second + second * z) / (z - np.exp(x))
+    z = np.exp(1j * omega * interval_s)[:, None]
+    decay, early, late = line_shares(poles * interval_s)
+    follow = interval_s * (early + late * z) / (z - decay)
     return np.asarray(constant + follow @ residues.T)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ _moved = njit(Jenkins.moved)
 
 MOTIONS_GIVEN = 3
 """Inputs where the drive point is moved: its displacement, velocity and acceleration."""
+_SERIES_BELOW = 0.3  # of z = λ h, where differences of exponentials lose digits
 ITERATIONS = 12
 TOLERANCE = 1e-7  # of the largest force so far
 
@@ -351,14 +353,15 @@ def _step_one(
 ) -> FloatArray:
     """Channels (c, samples) of one coordinate without force factor: the same steps, without arrays in the loop.
 
-    All that a step reads lies in one table and its state in one array, real and imaginary parts apart: that is what the
-    compiler makes vector instructions of.
+    Tables and state lie in arrays of one row, real and imaginary parts apart: that is what the compiler makes vector
+    instructions of.
     """
     contacts, kinds, parameters = elements.contacts, elements.kinds, elements.parameters
-    table, dw, dv = _table_of_one(model)
-    channels, by_force = _channels_of_one(model)
-    direct = model.direct[1:, 1].copy()
-    count = model.decay.size
+    recursion, forces, motions, channels, by_force = _tables_of_all(model, 1)
+    decay, early, late, force = recursion[0].copy(), recursion[1].copy(), recursion[2].copy(), forces[0].copy()
+    displacement, velocity = motions[0].copy(), motions[1].copy()
+    direct, count, steps = model.direct[1:, 1].copy(), model.decay.size, _room(model, 1, 0, 0)
+    dw, dv = steps.dw[0, 0], steps.dv[0, 0]
     result = np.empty((direct.size, (drive.size + substeps - 1) // substeps))
     state = np.concatenate((start.real, start.imag))
     stiffnesses = elements.jenkins[:, SLIDER_STIFFNESS].copy()
@@ -366,10 +369,8 @@ def _step_one(
     # A slider without stiffness takes no force, however far it is stretched.
     limits = np.where(stiffnesses > 0.0, slips / np.where(stiffnesses > 0.0, stiffnesses, 1.0), np.inf)
     sliders = np.zeros(slips.size)
-    g = 0.0
-    before = 0.0
+    g = before = previous = 0.0
     largest = 1e-300
-    previous = 0.0
     for n in range(drive.size):
         u = drive[n]
         free_w = 0.0
@@ -377,14 +378,14 @@ def _step_one(
         for k in range(count):
             re = state[k]
             im = state[count + k]
-            a = table[k] * re - table[count + k] * im
-            b = table[k] * im + table[count + k] * re
-            a += table[2 * count + k] * previous + table[4 * count + k] * u - table[6 * count + k] * g
-            b += table[3 * count + k] * previous + table[5 * count + k] * u - table[7 * count + k] * g
+            a = decay[k] * re - decay[count + k] * im
+            b = decay[k] * im + decay[count + k] * re
+            a += early[k] * previous + late[k] * u - force[k] * g
+            b += early[count + k] * previous + late[count + k] * u - force[count + k] * g
             state[k] = a
             state[count + k] = b
-            free_w += table[8 * count + k] * a - table[9 * count + k] * b
-            free_v += table[10 * count + k] * a - table[11 * count + k] * b
+            free_w += displacement[k] * a + displacement[count + k] * b
+            free_v += velocity[k] * a + velocity[count + k] * b
         previous = u
         # Where the force seems to go: a step of the iteration saved.
         trial = 2.0 * g - before
@@ -420,46 +421,11 @@ def _step_one(
         largest = max(largest, abs(g))
         if n % substeps == 0:
             for o in range(direct.size):
-                y = direct[o] * u - by_force[o] * g
+                y = direct[o] * u - by_force[o, 0] * g
                 for k in range(2 * count):
                     y += channels[o, k] * state[k]
                 result[o, n // substeps] = y
     return result
-
-
-@njit(cache=True)
-def _table_of_one(model: SteppedModel) -> tuple[FloatArray, float, float]:
-    """Coefficients of a step of one coordinate, (12 k,), and what a force at its end does to w and v.
-
-    The state is that before the force at the end of the step acts, which the next step takes into account.
-    """
-    early, late, w, v = model.early, model.late, model.outputs[0], model.velocities[0]
-    count = model.decay.size
-    table = np.empty(12 * count)
-    dw = dv = 0.0
-    for k in range(count):
-        force = model.decay[k] * late[k, 0] + early[k, 0]
-        for row, value in enumerate((model.decay[k], early[k, 1], late[k, 1], force, w[k], v[k])):
-            table[2 * row * count + k] = value.real
-            table[(2 * row + 1) * count + k] = value.imag
-        dw += (w[k] * late[k, 0]).real
-        dv += (v[k] * late[k, 0]).real
-    return table, dw, dv
-
-
-@njit(cache=True)
-def _channels_of_one(model: SteppedModel) -> tuple[FloatArray, FloatArray]:
-    """Shares of the parts of the state in the channels, (c, 2 k), and of the force at the end of a step, (c,)."""
-    count, c = model.decay.size, model.outputs.shape[0] - 1
-    channels, by_force = np.empty((c, 2 * count)), np.empty(c)
-    for o in range(c):
-        by_force[o] = model.direct[1 + o, 0]
-        for k in range(count):
-            share = model.outputs[1 + o, k]
-            channels[o, k] = share.real
-            channels[o, count + k] = -share.imag
-            by_force[o] += (share * model.late[k, 0]).real
-    return channels, by_force
 
 
 def step_through(
@@ -521,6 +487,17 @@ def poles_at(
     return result
 
 
+def line_shares(z: ComplexArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """exp z for a pole times a step, and shares of the input at both ends of the step, straight between, per step."""
+    near = np.where(np.abs(z) < _SERIES_BELOW, z, 0.0)
+    far = np.where(np.abs(z) < _SERIES_BELOW, 1.0, z)
+    first, second = (
+        np.where(near == z, sum(near**n / math.factorial(n + order) for n in range(12)), exact)
+        for order, exact in ((1, np.expm1(far) / far), (2, (np.expm1(far) - far) / far**2))
+    )
+    return np.exp(z), first - second, second
+
+
 def stepped_model(model: LinearModel, coordinates: int, rows: np.ndarray, step: float) -> SteppedModel:
     """Recursion of the poles over one step.
 
@@ -533,20 +510,15 @@ def stepped_model(model: LinearModel, coordinates: int, rows: np.ndarray, step: 
     keep = model.poles.imag >= 0.0
     poles = model.poles[keep]
     weight = np.where(np.abs(poles.imag) > 1e-12 * np.abs(poles), 2.0, 1.0)
-    z = poles * step
-    decay = np.exp(z)
-    small = np.abs(z) < 1e-4
-    safe = np.where(small, 1.0, z)
-    first = np.where(small, 1.0 + z / 2.0 + z**2 / 6.0, (decay - 1.0) / safe)
-    second = np.where(small, 0.5 + z / 6.0 + z**2 / 24.0, (decay - 1.0 - z) / safe**2)
+    decay, early, late = line_shares(poles * step)
     inputs = model.inputs[keep]
     p = model.poles
     outputs = model.displacement[rows] + model.velocity[rows] * p + model.acceleration[rows] * p**2
     direct = (model.velocity[rows] + model.acceleration[rows] * model.poles) @ model.inputs + model.feedthrough[rows]
     return SteppedModel(
         decay,
-        np.ascontiguousarray(step * (first - second)[:, None] * inputs),
-        np.ascontiguousarray(step * second[:, None] * inputs),
+        np.ascontiguousarray(step * early[:, None] * inputs),
+        np.ascontiguousarray(step * late[:, None] * inputs),
         np.ascontiguousarray(outputs[:, keep] * weight),
         np.ascontiguousarray(model.displacement[:coordinates, keep] * poles * weight),
         np.ascontiguousarray(direct.real),

@@ -15,6 +15,7 @@ from nmt_core.tolerances import MODEL_PRIORS
 from nmt_diagnose.effects.calibration import calibration_parameters, mode_factors
 from nmt_diagnose.effects.library import candidates
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.fit.model_alone import own_and_modes
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -93,6 +94,14 @@ def test_an_effect_of_a_region_is_what_it_says(label, expected):
     assert found == pytest.approx(reported)
     assert word == unit
     np.testing.assert_allclose(squares(rig_of()), exact(), rtol=1e-9)
+
+
+def test_the_mass_of_a_region_has_the_factor_of_all_masses():
+    candidate = region_candidates(rig_of())["local_mass@tip"]
+    heavier = with_value(rig_of(), ("structure", "mass_factor"), 1.1)
+    theta = np.array([0.2 / candidate.site.scales["change"]])
+    found, _ = Parametrisation(heavier, (), (candidate,)).reported(theta, 0)["m"]
+    assert found == pytest.approx(1.1 * MASSES[1] * math.expm1(0.2))
 
 
 def test_a_support_that_turns_has_the_units_of_a_rotation():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ from diagnose.predicted_observations import chain, observations_of_model
 from diagnose.test_warnings import GAP
 
 from nmt_diagnose.ledger.diagnosis import PlaceShare, Ranked, Remainder, Share, Value, Verdict
+from nmt_diagnose.ledger.judgement import Judgement
 from nmt_diagnose.ledger.size import IMITATION, Objection
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.observables import Part
@@ -99,6 +102,15 @@ def test_what_leaves_more_than_noise_is_a_partial_explanation() -> None:
         "94.0 % of the gap acts like air drag, probability 70 % among the effects of the library; 0.4 % of the "
         "frequency (levels: frequency) remain that it does not explain, so something unnamed acts too."
     )
+
+
+@pytest.mark.parametrize(("p", "part"), [(0.0, True), (0.33, True), (0.6, False)])
+def test_a_cause_less_likely_than_something_unnamed_is_a_part(p: float, part: bool) -> None:
+    """A cause that closes nearly all is stated next to an unnamed one, and never as the whole at a probability of 0."""
+    head: Any = SimpleNamespace(adequate=True, probability=p)
+    comparison: Any = SimpleNamespace(classes=(head,), unknown=0.4)
+    unused: Any = None
+    assert Judgement(unused, comparison, {}, unused, Verdict.EFFECT).partial is part
 
 
 def test_two_laws_are_told_as_what_they_imitate() -> None:

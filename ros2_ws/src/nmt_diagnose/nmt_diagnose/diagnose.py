@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from nmt_core.files.hardened import LARGEST_NUMBER
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.ahead.next_tests import next_levels, next_tests, other_sensors
@@ -161,6 +162,8 @@ def _detectable(
         theta = at_strength(candidate, score.start, strength)
         reported = Parametrisation(rig, (), (candidate,)).reported(theta, 0)
         values = {key: Value(value, math.nan, unit) for key, (value, unit) in reported.items()}
+        if any(abs(value.value) > LARGEST_NUMBER for value in values.values()):
+            continue  # no strength that a rig may have would show, as of x⁵ in a motion of nanometres
         location = candidate.site.location
         result.append(DetectableEffect(name, location.kind, location.detail, values))
     return tuple(result)

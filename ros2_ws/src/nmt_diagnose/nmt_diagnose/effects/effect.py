@@ -93,6 +93,7 @@ class Effect:
         ordinary: standard deviation of the strength in an ordinary measuring chain, where no error of the chain stands
             for it; 0 = one does, or it has no such tolerance.
         alters: whether it alters a property that the model has; else the model lacks it.
+        factor: key of the rig file that multiplies the reference of its sites; empty where none does.
     """
 
     name: str
@@ -108,6 +109,7 @@ class Effect:
     form: str = ""
     ordinary: float = 0.0
     alters: bool = False
+    factor: tuple[str | int, ...] = ()
 
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
         """Rig with the effect; the same rig where all strengths are 0."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import accumulate
 from math import exp, log
@@ -15,6 +15,7 @@ from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import ROTATION_UNITS
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.effect import Candidate, EffectParameter, Reported, Site
+from nmt_diagnose.effects.rig_edit import value_at
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -136,9 +137,12 @@ class Parametrisation:
     def reported(self, theta: FloatArray, candidate: int) -> Reported:
         """Parameters that a candidate is reported by, with units."""
         added = self.candidates[candidate]
+        site, factor = added.site, added.effect.factor
+        if factor:
+            site = replace(site, reference=site.reference * float(value_at(self.rig(theta), factor)))
         return {
-            name: (value, _unit_at(unit, added.site, self.base))
-            for name, (value, unit) in added.effect.reported(added.site, self.values(theta, candidate)).items()
+            name: (value, _unit_at(unit, site, self.base))
+            for name, (value, unit) in added.effect.reported(site, self.values(theta, candidate)).items()
         }
 
 

@@ -110,6 +110,7 @@ REGION_EFFECTS: tuple[Effect, ...] = (
         name="local_mass", place="structure", equation="factor × the model's mass of a region",
         reference=_UPDATING, keys="structure.regions.NAME.mass_factor", parameters=_CHANGE,
         sites=_sites_of("mass_kg", moved=True), change=_with_mass, report=_mass_report,
+        factor=("structure", "mass_factor"),
         equivalents={"local_stiffness": "several modes in a random test"}, alters=True,
     ),
 )  # fmt: skip

@@ -64,8 +64,10 @@ class Judgement:
 
     @property
     def adequate(self) -> bool:
-        """Whether what is stated leaves noise, or what does not matter."""
-        return self.verdict is not Verdict.UNKNOWN and (self.named is None or self.named.adequate)
+        """Whether what is stated leaves noise, or what does not matter, and is more likely than something unnamed."""
+        if self.named is None:
+            return self.verdict is not Verdict.UNKNOWN
+        return self.named.adequate and self.named.probability >= self.comparison.unknown
 
     @property
     def partial(self) -> bool:

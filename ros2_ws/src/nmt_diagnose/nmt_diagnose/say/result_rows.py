@@ -56,7 +56,7 @@ def ranked_rows(
                 closed=Share(share.value, share.low, share.high) if share else Share(*[math.nan] * 3),
                 sigmas=head.sigmas,
                 converged=head.fit.converged,
-                adequate=group.adequate,
+                adequate=group.adequate and not (partial and group is comparison.classes[0]),
                 given_library=partial,
                 places=dict(sorted(group.places.items(), key=lambda item: -item[1])),
             )
@@ -145,11 +145,12 @@ def parameters(data: Data, found: FittedExplanation) -> dict[str, Value]:
     named = found.stated or range(len(found.candidates))
     for index in named:
         candidate = found.candidates[index]
-        selected = parametrisation.index_of(index)
-        covariance, shared = full_covariance[selected, selected], full_shared[selected, selected]
+        factors = np.flatnonzero([p.path == candidate.effect.factor for p in parametrisation.calibration])
+        selected = np.concatenate([factors, np.arange(theta.size)[parametrisation.index_of(index)]])
+        covariance, shared = (each[np.ix_(selected, selected)] for each in (full_covariance, full_shared))
         for name, (value, unit) in parametrisation.reported(theta, index).items():
-            slopes = np.empty(selected.stop - selected.start)
-            for position, k in enumerate(range(selected.start, selected.stop)):
+            slopes = np.empty(selected.size)
+            for position, k in enumerate(selected):
                 moved = theta.copy()
                 step = 0.1 * found.fit.std[k]
                 moved[k] += step

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -57,3 +58,20 @@ class JointLog:
     def is_arithmetic(self) -> bool:
         """Whether the torque is computed by the control law, because none was measured."""
         return self.torque is None
+
+
+def control_law(terms: Sequence[Array], torque: Array) -> tuple[float, Array]:
+    """Whether a torque is a sum of terms and a constant, each N × J.
+
+    Returns:
+        Share that the sum leaves of it, the median of the joints, infinite where none has one; coefficients J × K.
+    """
+    left, gains = [], np.zeros((torque.shape[1], len(terms)))
+    for joint, acting in enumerate(torque.T):
+        matrix = np.column_stack([*(term[:, joint] for term in terms), np.ones(len(acting))])
+        size = float(np.std(acting))
+        if size > 0.0 and np.all(np.isfinite(matrix)):
+            solution = np.linalg.lstsq(matrix, acting, rcond=None)[0]
+            left.append(float(np.std(acting - matrix @ solution)) / size)
+            gains[joint] = solution[:-1]
+    return float(np.median(left)) if left else float("inf"), gains

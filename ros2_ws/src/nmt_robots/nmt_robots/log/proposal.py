@@ -29,7 +29,7 @@ from nmt_robots.log.column_roles import (
     words_of,
 )
 from nmt_robots.log.columns_of_file import STAMP, FileColumns, read_columns
-from nmt_robots.log.joint_log import Array
+from nmt_robots.log.joint_log import Array, control_law
 from nmt_robots.log.robot_sidecar import ANGLES, TIMES, Columns
 from nmt_robots.log.unit_choice import JointMotion, MotionUnits, motion_units, slope_of
 from nmt_robots.model.robot_model import RobotModel
@@ -493,7 +493,7 @@ class _Draft:
             commanded = self._values_of(command[SPEED]) if SPEED in command else 0.0
             terms.append(commanded - self._values_of(speed))
         for key, family in (("command", command.get(TORQUE)), ("measured", torque)):
-            if family is not None and _is_law(terms, self._values_of(family)):
+            if family is not None and control_law(terms, self._values_of(family))[0] < THRESHOLDS.exact:
                 names = self._column_list(family)
                 self.remarks.append(f"{names} is the control law of the drives itself, so it is not a {key} torque.")
                 if key == "command":
@@ -556,15 +556,3 @@ def _follows(command: Array, values: Array) -> bool:
         apart = abs(float(np.mean(first[known]) - np.mean(second[known]))) / float(np.std(second[known]))
         alike += correlation > _LIKE and 0.6 < gain < 1.7 and apart < 1.5
     return alike > 0.7 * len(moving)
-
-
-def _is_law(terms: list[Array], torque: Array) -> bool:
-    """Whether the law with some gains gives a column of torques but for rounding, in all joints that moved."""
-    left = []
-    for joint in range(torque.shape[1]):
-        matrix = np.column_stack([term[:, joint] for term in terms])
-        size = float(np.std(torque[:, joint]))
-        if size > 0.0 and np.all(np.isfinite(matrix)):
-            solution = np.linalg.lstsq(matrix, torque[:, joint], rcond=None)[0]
-            left.append(float(np.std(torque[:, joint] - matrix @ solution)) / size)
-    return bool(left) and float(np.median(left)) < THRESHOLDS.exact

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from nmt_robots.log.joint_log import Array, JointLog
+from nmt_robots.log.joint_log import Array, JointLog, control_law
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.motion import Motion
 from nmt_robots.mechanics.readings import HELD, SMOOTH
@@ -62,24 +62,14 @@ def computed_by_law(log: JointLog, joints: Sequence[Joint]) -> tuple[JointLog, l
     if log.torque is None or log.position_command is None:
         return log, []
     commanded = np.zeros_like(log.position) if log.velocity_command is None else log.velocity_command
-    left, gains = [], np.zeros((len(log.joints), 2))
-    for joint, torque in enumerate(log.torque.T):
-        terms = [log.position_command[:, joint] - log.position[:, joint]]
-        if log.velocity is not None:
-            # A drive's speed may have another filter than the logged one.
-            speed = log.velocity[:, joint]
-            terms += [commanded[:, joint] - speed, np.gradient(speed)]
-        if log.torque_command is not None:
-            torque = torque - log.torque_command[:, joint]
-        matrix = np.column_stack([*terms, np.ones(log.rows)])
-        size = float(np.std(torque))
-        if size > 0.0:
-            solution = np.linalg.lstsq(matrix, torque, rcond=None)[0]
-            left.append(float(np.std(torque - matrix @ solution)) / size)
-            gains[joint, : min(len(terms), 2)] = solution[: min(len(terms), 2)]
-    if not left or float(np.median(left)) > THRESHOLDS.exact:
+    terms = [log.position_command - log.position]
+    if log.velocity is not None:
+        # A drive's speed may have another filter than the logged one.
+        terms += [commanded - log.velocity, np.gradient(log.velocity, axis=0)]
+    middle, gains = control_law(terms, log.torque - (0.0 if log.torque_command is None else log.torque_command))
+    if not middle <= THRESHOLDS.exact:
         return log, []
-    middle = float(np.median(left))
+    gains = np.pad(gains, ((0, 0), (0, 1)))[:, :2]
     listed = ", ".join(
         joint.units(f"{joint.name} {kp:.3g} N·m/rad") for joint, (kp, _) in zip(joints, gains, strict=True)
     )

@@ -227,6 +227,11 @@ class ModalPoint:
         """Ω/2π, Hz: ν/k times the modal frequency in a secondary resonance, else the modal frequency."""
         return self.frequency_hz * (self.force_order or 1) / (self.response_order or 1)
 
+    @property
+    def excitation_frequency_hz_std(self) -> float:
+        """Repeatability of ``excitation_frequency_hz``, Hz."""
+        return self.frequency_hz_std * (self.force_order or 1) / (self.response_order or 1)
+
     def identical(self, other: ModalPoint) -> bool:
         """Whether all fields agree bit for bit (NaN equals NaN)."""
         for item in fields(self):

@@ -302,9 +302,9 @@ class SequencerNode(BenchNode):
         except (BenchError, ValueError) as error:
             self.get_logger().error(f"Lock event refused: {error}", throttle_duration_sec=1.0)
             return
-        self.get_logger().info(
-            f"Level {lock.level_index + 1} locked at {lock.frequency_hz:.6g} Hz, sample {lock.sample}"
-        )
+        # Noise has no frequency: its window begins when the response has settled.
+        at = f"locked at {lock.frequency_hz:.6g} Hz" if lock.frequency_hz > 0.0 else "settled"
+        self.get_logger().info(f"Level {lock.level_index + 1} {at}, sample {lock.sample}")
         self.core.take_lock(lock)
         self._publish_all()
 
@@ -378,7 +378,8 @@ class SequencerNode(BenchNode):
             if state.phase != self._phase:
                 self._phase = state.phase
                 why = f": {state.reason}" if state.reason else ""
-                self.get_logger().info(f"Run {state.run_id or '(none yet)'} is {state.phase.name.lower()}{why}")
+                run = f"Run {state.run_id} is {state.phase.name.lower()}" if state.run_id else "No run yet"
+                self.get_logger().info(f"{run}{why}")
 
     def _publish_feedback(self) -> None:
         now = time.monotonic()

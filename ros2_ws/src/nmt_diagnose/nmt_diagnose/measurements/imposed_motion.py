@@ -114,6 +114,8 @@ class ImposedMotionPredictor(SamplePredictor):
         settings: of the predictor.
     """
 
+    test: ImposedMotion
+
     def __init__(self, test: ImposedMotion, rows: Rows, settings: PredictionSettings) -> None:
         self.test, self.rows, self.settings = test, rows, settings
         self.channels = tuple(test.channels)

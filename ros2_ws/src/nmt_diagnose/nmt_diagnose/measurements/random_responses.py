@@ -401,7 +401,7 @@ def held_responses(
     residues = (position + direct * poles - forces) * driven
     constant = model.feedthrough[rows, r] + direct @ driven
     z = np.exp(1j * omega * interval_s)[:, None]
-    decay, early, late = line_shares(poles * interval_s)
+    decay, early, late = line_shares(np.asarray(poles * interval_s, dtype=np.complex128))
     follow = interval_s * (early + late * z) / (z - decay)
     return np.asarray(constant + follow @ residues.T)
 

@@ -16,7 +16,7 @@ pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not te
 from nmt_robots.bodies import body_finding as module
 from nmt_robots.bodies.body_choice import EVERY, BodyExplanation
 from nmt_robots.bodies.body_finding import BodyFinding, body_finding
-from nmt_robots.bodies.body_shape import SHAPE, BodyShape, moved_body
+from nmt_robots.bodies.body_shape import SHAPE, BodyShapes, moved_body
 from nmt_robots.log.joint_log import JointLog
 from nmt_robots.model.links import LinkMotion, in_frame_of, parameters_of, split_parameters
 from nmt_robots.model.robot_model import BodyChange, RobotModel
@@ -100,12 +100,12 @@ def test_a_changed_body_has_the_torque_of_its_parameters(tmp_path: Path) -> None
 def test_a_changed_link_is_always_a_possible_body() -> None:
     rng = np.random.default_rng(5)
     centre, moments = np.array([0.02, -0.01, 0.2]), np.diag([0.03, 0.025, 0.01])
-    shape = BodyShape(parameters_of(2.0, centre, moments), 0.4)
-    for numbers in 0.3 * rng.standard_normal((20, SHAPE)):
-        step = 1e-6 * np.eye(SHAPE)
-        slopes = np.column_stack([(shape.change(numbers + h) - shape.change(numbers - h)) / 2e-6 for h in step])
-        assert shape.slopes(numbers) == pytest.approx(slopes, abs=1e-7)
-        changed = parameters_of(2.0, centre, moments) + shape.change(numbers)
+    in_file = np.array([parameters_of(2.0, centre, moments)] * 20)
+    shapes, every = BodyShapes(in_file, np.full(20, 0.4)), 0.3 * rng.standard_normal((20, SHAPE))
+    step = 1e-6 * np.eye(SHAPE)
+    slopes = np.stack([(shapes.change(every + h) - shapes.change(every - h)) / 2e-6 for h in step], axis=-1)
+    assert shapes.slopes(every) == pytest.approx(slopes, abs=1e-7)
+    for numbers, changed in zip(every, in_file + shapes.change(every), strict=True):
         mass, _, inertia = split_parameters(changed)
         low, middle, high = np.linalg.eigvalsh(inertia)
         assert mass > 0.0
@@ -115,7 +115,8 @@ def test_a_changed_link_is_always_a_possible_body() -> None:
         parts.append(moved_body((0.8, centre - 0.15, moments), centre, numbers))
         together = sum(parameters_of(*part) for part in parts)
         total = parameters_of(1.2, centre + 0.1, 0.3 * moments) + parameters_of(0.8, centre - 0.15, moments)
-        assert together == pytest.approx(total + BodyShape(total, 0.4).change(numbers), abs=1e-9)
+        change = BodyShapes(total[None], np.array([0.4])).change(numbers[None])
+        assert together == pytest.approx(total + change[0], abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,9 @@ Twice, from the root of the repository::
 
 ``make`` needs no bench. For each URDF with joints it writes a log of 20 s at 500 Hz: smooth motion of up to 12 joints,
 torque by pinocchio's recursive Newton-Euler algorithm with the friction and damping that the file states, mimic joints
-moved by their ratio, and Coulomb friction of a quarter of its torque added at one joint. ``run`` diagnoses each and
-prints a line; a robot whose answer is in the folder is not diagnosed again.
+moved by their ratio, and Coulomb friction of a quarter of its torque added at one joint; with ``--everywhere`` instead
+Coulomb and viscous friction and armature of a tenth of its torque each at every joint whose file states none of them.
+``run`` diagnoses each and prints a line; a robot whose answer is in the folder is not diagnosed again.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ RATE_HZ, SECONDS, JOINTS = 500, 20, 12
 PLANTED = 0.25
 BEYOND = 0.5
 """Coulomb friction that is added at one joint, of the rms torque, and more of what the file states (its tolerance)."""
+EACH = 0.1
+"""Torque (rms) of each term that is planted everywhere, of that of its joint."""
 SMALLEST = 1e-3
 SLOWEST = 0.1
 """Torque (rms, N·m) and speed (rms, rad/s) of a joint that friction can be planted at."""
@@ -55,7 +58,7 @@ def sines(random: np.random.Generator, middle: float, amplitude: float) -> tuple
     )
 
 
-def make_case(urdf: Path, folder: Path, random: np.random.Generator) -> dict[str, Any]:
+def make_case(urdf: Path, folder: Path, random: np.random.Generator, everywhere: bool) -> dict[str, Any]:
     """Write the log of one robot; what is true of it."""
     pin = import_module("pinocchio")
     model = pin.buildModelFromUrdf(str(urdf))
@@ -107,7 +110,18 @@ def make_case(urdf: Path, folder: Path, random: np.random.Generator) -> dict[str
     size = np.sqrt(np.mean(torque**2, axis=0))
     able = [k for k in range(len(names)) if rms[k] > SMALLEST and float(np.std(speed[:, k])) > SLOWEST]
     truth: dict[str, Any] = {"joints": names, "at": "", "friction": 0.0}
-    if able:
+    if everywhere:
+        truth["terms"] = {}
+        for column in able:
+            dynamics = elements[names[column]].find("dynamics")
+            if dynamics is not None and any(float(dynamics.get(key, 0.0)) for key in ("damping", "friction")):
+                continue
+            v_of, a_of = (motions[names[column]][part] for part in (1, 2))
+            truth["terms"][names[column]] = planted = {}
+            for key, shape in (("coulomb", np.sign(v_of)), ("viscous", v_of), ("armature", a_of)):
+                planted[key] = EACH * float(size[column] / np.sqrt(np.mean(shape**2)))
+                torque[:, column] += planted[key] * shape
+    elif able:
         column = able[len(able) // 2]
         dynamics = elements[names[column]].find("dynamics")
         stated = 0.0 if dynamics is None else float(dynamics.get("friction", 0.0))
@@ -124,14 +138,14 @@ def make_case(urdf: Path, folder: Path, random: np.random.Generator) -> dict[str
     return truth
 
 
-def make(urdfs: Path, out: Path) -> None:
+def make(urdfs: Path, out: Path, everywhere: bool) -> None:
     """Write a case for each URDF; ``truth.json`` of a folder is there when it is whole."""
     for urdf in sorted(urdfs.rglob("*.urdf")):
         folder = out / f"{urdf.parent.parent.name}-{urdf.stem}"
         if (folder / "truth.json").exists():
             continue
         try:
-            truth = make_case(urdf, folder, np.random.default_rng([7, *urdf.name.encode()]))
+            truth = make_case(urdf, folder, np.random.default_rng([7, *urdf.name.encode()]), everywhere)
         except (ValueError, RuntimeError) as error:
             truth = {"not_read_by_pinocchio": str(error).splitlines()[0]}
         folder.mkdir(parents=True, exist_ok=True)
@@ -155,9 +169,17 @@ def judged(folder: Path) -> dict[str, Any]:
         diagnosis = diagnose_robot(robot, sidecar)
     except BenchError as error:
         return {"refused": str(error)}
-    at, others = "", {}
+    at, others, named, off, missed = "", {}, 0, [], []
     for joint in diagnosis.joints:
         terms = [term for term in joint.terms if term.differs]
+        for key, expected in truth.get("terms", {}).get(joint.joint.name, {}).items():
+            found = next((term for term in terms if term.key == key), None)
+            named += found is not None
+            if found is None:
+                missed.append(f"{joint.joint.name} {key}: {joint.difference}")
+            elif abs(found.value - expected) > 3.0 * found.std:
+                off.append(f"{joint.joint.name} {key}: {found.value:.4g} ± {found.std:.2g}, planted {expected:.4g}")
+            terms = [term for term in terms if term.key != key]
         if joint.joint.name == truth["at"]:
             found = next((term for term in terms if term.key == "coulomb"), None)
             expected = truth["friction"] + joint.joint.coulomb
@@ -172,6 +194,9 @@ def judged(folder: Path) -> dict[str, Any]:
             others[joint.joint.name] = ", ".join(term.key for term in terms)
     return {
         "at": at,
+        "named": named,
+        "missed": missed,
+        "off": off,
         "others": others,
         "log": [finding.sentence for finding in diagnosis.findings if finding.fault],
         "file": [finding.key for finding in diagnosis.of_file],
@@ -198,9 +223,10 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="robots that are diagnosed anew; all without an answer otherwise")
     parser.add_argument("--urdfs", type=Path, help="folder of URDFs; that of example-robot-data without")
     parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--everywhere", action="store_true", help="plant three terms at every joint")
     options = parser.parse_intermixed_args()
     if options.step == "make":
-        make(options.urdfs or installed_urdfs(), options.out)
+        make(options.urdfs or installed_urdfs(), options.out, options.everywhere)
     else:
         run(options.out, options.names)
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nmt_robots.bodies.body_rows import CONSTANT, TILT, UNSEEN, BodyRows, Whitened, spring_spread
-from nmt_robots.bodies.body_shape import SHAPE, BodyShape
+from nmt_robots.bodies.body_shape import SHAPE, BodyShapes
 from nmt_robots.log.joint_log import Array
 
 TOLERANCE = (0.015, 0.01, 0.02)
@@ -141,7 +141,9 @@ class BodyEvidence:
         self, rows: BodyRows, white: Whitened, ends: Sequence[int], parts: Sequence[tuple[Array, int]]
     ) -> None:
         self.rows, self._white, self.ends, self.parts = rows, white, ends, parts
-        self.shapes = [BodyShape(link.parameters, link.length) for link in rows.links]
+        self.shapes = BodyShapes(
+            np.array([link.parameters for link in rows.links]), np.array([link.length for link in rows.links])
+        )
         self.count = len(rows.links)
         self._size = 10 * self.count + 2 + 2 * rows.left.shape[1]
         scaled = rows.columns / rows.size[:, None]
@@ -170,7 +172,7 @@ class BodyEvidence:
 
     def _of_link(self, link: int, sizes: tuple[float, float, float]) -> Array:
         length = self.rows.links[link].length
-        if self.shapes[link].mass <= 0.0:
+        if self.shapes.masses[link] <= 0.0:
             return np.zeros(SHAPE)
         return np.array([sizes[0], *3 * [sizes[1] * length], *6 * [sizes[2]]])
 
@@ -179,7 +181,7 @@ class BodyEvidence:
         white = self._white if white is None else white
         if explanation.end < 0:
             return self._weigh(explanation, white, 0.0)
-        carried = self.shapes[explanation.end].mass
+        carried = float(self.shapes.masses[explanation.end])
         found = [self._weigh(explanation, white, size * max(carried, 0.1)) for size in _PAYLOAD_SIZES]
         return max(found, key=lambda item: item.evidence)
 
@@ -228,10 +230,7 @@ class BodyEvidence:
     def change(self, explanation: BodyExplanation, numbers: Array) -> Array:
         """P: parameters of all columns without those of the file."""
         found = np.zeros(self._size)
-        for link, shape in enumerate(self.shapes):
-            part = slice(SHAPE * link, SHAPE * (link + 1))
-            if np.any(numbers[part]):
-                found[part] = shape.change(numbers[part])
+        found[: 10 * self.count] = self.shapes.change(self._of_links(numbers)).ravel()
         found[10 * self.count : self._size] = numbers[10 * self.count : self._size]
         if explanation.end >= 0:
             found[10 * explanation.end : 10 * explanation.end + 10] += self.payload(explanation.end, numbers)
@@ -240,6 +239,9 @@ class BodyEvidence:
             found[10 * link : 10 * link + 10] -= parameters
         return found
 
+    def _of_links(self, numbers: Array) -> Array:
+        return np.asarray(numbers[: SHAPE * self.count]).reshape(self.count, SHAPE)
+
     def payload(self, link: int, numbers: Array) -> Array:
         """Ten parameters of a payload: a point at a distance from the end of its link."""
         mass, place = float(np.exp(numbers[self._size])), self._end(link) + numbers[self._size + 1 :]
@@ -247,7 +249,7 @@ class BodyEvidence:
         return np.array([mass, *(mass * place), *inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
 
     def _end(self, link: int) -> Array:
-        return self.shapes[link].centre
+        return self.shapes.centres[link]
 
     def _at(self, explanation: BodyExplanation, white: Whitened, numbers: Array, pulls: Array) -> tuple[float, Array]:
         """Cost, and what the whitened rows leave."""
@@ -257,9 +259,9 @@ class BodyEvidence:
     def _slopes(self, explanation: BodyExplanation, white: Whitened, numbers: Array) -> Array:
         """Of the whitened rows by each number."""
         slopes = np.zeros((len(white.moment), len(numbers)))
-        for link, shape in enumerate(self.shapes):
-            part = slice(SHAPE * link, SHAPE * (link + 1))
-            slopes[:, part] = white.triangle[:, part] @ shape.slopes(numbers[part])
+        triangle = white.triangle[:, : 10 * self.count].reshape(-1, self.count, 10).swapaxes(0, 1)
+        of_links = triangle @ self.shapes.slopes(self._of_links(numbers))
+        slopes[:, : SHAPE * self.count] = of_links.swapaxes(0, 1).reshape(-1, SHAPE * self.count)
         slopes[:, 10 * self.count : self._size] = white.triangle[:, 10 * self.count :]
         if explanation.end >= 0:
             link = explanation.end
@@ -291,7 +293,7 @@ class BodyEvidence:
 
     def choose(self) -> BodyChoice:
         """All explanations with their probabilities."""
-        links = [link for link in range(self.count) if self.shapes[link].mass > 0.0]
+        links = [link for link in range(self.count) if self.shapes.masses[link] > 0.0]
         asked: list[tuple[BodyExplanation, float]] = [(BodyExplanation("none"), _PRIOR["none"])]
         singles = [BodyExplanation("link", ((link, numbers),)) for link in links for numbers in _VARIANTS]
         asked += [(item, _PRIOR["link"] / len(singles)) for item in singles]

@@ -198,8 +198,8 @@ class _Asked:
             return replace(base, kind="joint", sentence=words)
         if best.reached > _IMPLAUSIBLE:
             words = (
-                f"{self._words(best.explanation)} fits best, but would be off by {best.reached:.1f} prior standard "
-                "deviations, which no file is: nothing is claimed."
+                f"Best fits: {self._words(best.explanation)}; but that would be off by {best.reached:.1f} prior "
+                "standard deviations, which no file is: nothing is claimed."
             )
             return replace(base, kind="unknown", sentence=_capital(words))
         return self._claimed(base, self._structured(best))
@@ -209,7 +209,7 @@ class _Asked:
         evidence, explanation = self._evidence, best.explanation
         for link in explanation.links:
             numbers, std, _ = best.of_link(link)
-            mass = evidence.shapes[link].mass
+            mass = float(evidence.shapes.masses[link])
             lacking, loose = mass * (1.0 - np.exp(numbers[0])), mass * np.exp(numbers[0]) * std[0]
             others = tuple(item for item in explanation.wide if item[0] != link)
             without = evidence.weigh(BodyExplanation("several", others)).evidence
@@ -258,8 +258,8 @@ class _Asked:
         if not np.any(touched) or closes >= 0.0 or worse:
             return replace(
                 base, kind="unknown",
-                sentence=f"{_capital(self._words(best.explanation))} fits best, but its values of the first part of "
-                "the log leave no less of the last part at all joints: nothing is claimed.",
+                sentence=f"Best fits: {self._words(best.explanation)}; but by values of the first part of the log some "
+                "joints have no less left on the last part, so nothing is claimed.",
             )  # fmt: skip
         values = tuple(self._values(fitted))
         words = self._words(explanation)
@@ -370,14 +370,15 @@ class _Asked:
         found: list[BodyValue] = []
         rows, explanation = self._rows, item.explanation
         for link, numbers in explanation.wide:
-            name, shape = self._link_name(link), self._evidence.shapes[link]
+            name, shapes = self._link_name(link), self._evidence.shapes
+            in_file, centre = float(shapes.masses[link]), shapes.centres[link]
             values, std, _ = item.of_link(link)
             for number in numbers:
                 if number == 0:
-                    mass = shape.mass * float(np.exp(values[0]))
-                    found.append(BodyValue(name, "mass", mass, mass * float(std[0]), shape.mass, "kg"))
+                    mass = in_file * float(np.exp(values[0]))
+                    found.append(BodyValue(name, "mass", mass, mass * float(std[0]), in_file, "kg"))
                 elif number < 4:
-                    place = float(shape.centre[number - 1])
+                    place = float(centre[number - 1])
                     found.append(BodyValue(name, f"centre of mass along {_AXES[number - 1]}",
                                            place + float(values[number]), float(std[number]), place, "m"))  # fmt: skip
         if explanation.off >= 0:
@@ -403,14 +404,14 @@ class _Asked:
         model, data = self._robot.at_rest()
         found: dict[int, BodyChange] = {}
         explanation = item.explanation
-        for link, shape in enumerate(self._evidence.shapes):
+        for link, centre in enumerate(self._evidence.shapes.centres):
             values, root = numbers[SHAPE * link : SHAPE * (link + 1)], self._rows.links[link].root
             if not np.any(values) and link != explanation.end:
                 continue
             load = self._evidence.payload(link, item.numbers) if link == explanation.end else np.zeros(len(EVERY))
             for body in self._rows.links[link].bodies:
                 if model.body_mass[body] > 0.0 or (body == root and np.any(load)):
-                    moved = moved_body(body_in(model, data, root, body), shape.centre, values)
+                    moved = moved_body(body_in(model, data, root, body), centre, values)
                     if body == root:
                         moved = split_parameters(parameters_of(*moved) + load)
                     found[body] = body_change(model, data, root, body, moved)
@@ -433,10 +434,9 @@ class _Asked:
         found = []
         evidence = self._evidence
         for link in range(evidence.count):
-            shape, name = evidence.shapes[link], self._link_name(link)
-            if shape.mass <= 0.0:
+            if evidence.shapes.masses[link] <= 0.0:
                 continue
-            dumb = []
+            name, dumb = self._link_name(link), []
             for number, size in ((0, np.log(1.3)), (1, 0.03), (2, 0.03), (3, 0.03)):
                 numbers = np.zeros(self._rows.columns.shape[2])
                 numbers[10 * link + number] = size

@@ -17,54 +17,53 @@ _SMALLEST = 0.03
 """Radius of gyration of an inertia that no body has, as a share of the link's length, at least."""
 
 
-class BodyShape:
-    """A link's parameters as a function of its ten numbers.
+class BodyShapes:
+    """Parameters of L links as functions of their ten numbers.
 
     Args:
-        parameters: 10, of the file; mass, first moments, second moments about the origin.
-        length: of the link, m.
+        parameters: L × 10, of the file; mass, first moments, second moments about the origin.
+        lengths: L, of the links, m.
     """
 
-    def __init__(self, parameters: Array, length: float) -> None:
-        self.mass = float(parameters.item(0))
-        self.centre = np.asarray(parameters[1:4]) / max(self.mass, 1e-12)
-        xx, yy, zz, xy, xz, yz = parameters[4:]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        spread = 0.5 * np.trace(inertia) * np.eye(3) - inertia - self.mass * np.outer(self.centre, self.centre)
+    def __init__(self, parameters: Array, lengths: Array) -> None:
+        self.masses = np.array(parameters[:, 0])
+        self.centres = parameters[:, 1:4] / np.maximum(self.masses, 1e-12)[:, None]
+        inertia = parameters[:, [[4, 7, 8], [7, 5, 9], [8, 9, 6]]]
+        half_trace = 0.5 * np.trace(inertia, axis1=1, axis2=2)
+        outer = self.centres[:, :, None] * self.centres[:, None, :]
+        spread = half_trace[:, None, None] * np.eye(3) - inertia - self.masses[:, None, None] * outer
         sizes, axes = np.linalg.eigh(spread)
-        least = self.mass * (_SMALLEST * length) ** 2
-        self._spread = (axes * np.maximum(sizes, least)) @ axes.T
-        self._in_file = self._parameters(np.zeros(SHAPE))
+        least = self.masses * (_SMALLEST * lengths) ** 2
+        self._spread = (axes * np.maximum(sizes, least[:, None])[:, None, :]) @ np.swapaxes(axes, 1, 2)
+        self._in_file = self._parameters(np.zeros((len(lengths), SHAPE)))
 
     def change(self, numbers: Array) -> Array:
-        """By how much the ten parameters differ from those of the numbers zero."""
+        """L × 10: by how much the parameters differ from those of the numbers zero; numbers L × 10."""
         return self._parameters(numbers) - self._in_file
 
     def slopes(self, numbers: Array) -> Array:
-        """10 × 10: parameters per unit of each number."""
-        factor = float(np.exp(numbers[0]))
-        centre, map_ = self.centre + numbers[1:4], _map(numbers)
-        mass, spread = self.mass * factor, factor * map_ @ self._spread @ map_.T
-        second, first, masses = np.zeros((SHAPE, 3, 3)), np.zeros((SHAPE, 3)), np.zeros(SHAPE)
-        masses[0], first[0], second[0] = mass, mass * centre, spread + mass * np.outer(centre, centre)
-        axes = np.arange(3)
-        first[1 + axes, axes] = mass
-        second[1 + axes, axes] += mass * centre
-        second[1 + axes, :, axes] += mass * centre
-        rows, columns = _UPPER
-        stretched = (factor * self._spread @ map_.T)[columns]
-        second[4 + np.arange(6), rows] += stretched
-        second[4 + np.arange(6), :, rows] += stretched
-        return np.vstack([masses, first.T, _inertia(second)])
+        """L × 10 × 10: parameters per unit of each number, which is the last axis; numbers L × 10."""
+        factor, centre, map_ = np.exp(numbers[:, 0]), self.centres + numbers[:, 1:4], _map(numbers)
+        masses, first, second = (np.zeros((len(numbers), SHAPE, *more)) for more in ((), (3,), (3, 3)))
+        stretched = factor[:, None, None] * self._spread @ np.swapaxes(map_, 1, 2)
+        moment = (self.masses * factor)[:, None] * centre
+        masses[:, 0], first[:, 0] = self.masses * factor, moment
+        second[:, 0] = map_ @ stretched + moment[:, :, None] * centre[:, None, :]
+        for axis in range(3):
+            first[:, 1 + axis, axis] = masses[:, 0]
+            second[:, 1 + axis, axis] += moment
+            second[:, 1 + axis, :, axis] += moment
+        for place, (row, column) in enumerate(zip(*_UPPER, strict=True)):
+            second[:, 4 + place, row] += stretched[:, column]
+            second[:, 4 + place, :, row] += stretched[:, column]
+        return np.swapaxes(_packed(masses, first, second), 1, 2)
 
     def _parameters(self, numbers: Array) -> Array:
-        mass, centre, spread = self.moved(numbers)
-        return _packed(mass, mass * centre, spread + mass * np.outer(centre, centre))
-
-    def moved(self, numbers: Array) -> tuple[float, Array, Array]:
-        """Mass (kg), centre (3, m) and Σ m r rᵀ about it (3 × 3, kg·m²)."""
-        factor, map_ = float(np.exp(numbers[0])), _map(numbers)
-        return self.mass * factor, self.centre + numbers[1:4], factor * map_ @ self._spread @ map_.T
+        factor, centre, map_ = np.exp(numbers[:, 0]), self.centres + numbers[:, 1:4], _map(numbers)
+        mass = self.masses * factor
+        spread = factor[:, None, None] * map_ @ self._spread @ np.swapaxes(map_, 1, 2)
+        moment = mass[:, None] * centre
+        return _packed(mass, moment, spread + moment[:, :, None] * centre[:, None, :])
 
 
 def moved_body(body: tuple[float, Array, Array], about: Array, numbers: Array) -> tuple[float, Array, Array]:
@@ -87,17 +86,14 @@ def moved_body(body: tuple[float, Array, Array], about: Array, numbers: Array) -
 
 
 def _map(numbers: Array) -> Array:
-    found = np.eye(3)
-    found[_UPPER] += numbers[4:]
+    """3 × 3 of ten numbers, or of N × 10 of them."""
+    found = np.zeros((*numbers.shape[:-1], 3, 3)) + np.eye(3)
+    found[..., _UPPER[0], _UPPER[1]] += numbers[..., 4:]
     return found
 
 
-def _packed(mass: float, first: Array, second: Array) -> Array:
-    """Ten parameters of mass, first moments and Σ m r rᵀ about the origin."""
-    return np.concatenate([[mass], first, _inertia(second)])
-
-
-def _inertia(second: Array) -> Array:
-    """Six numbers of the inertia of Σ m r rᵀ, of one (3 × 3) or of N (N × 3 × 3, then 6 × N)."""
-    squares = second[..., [0, 1, 2], [0, 1, 2]].T
-    return np.concatenate([np.sum(squares, axis=0) - squares, -second[..., [0, 0, 1], [1, 2, 2]].T])
+def _packed(mass: Array, first: Array, second: Array) -> Array:
+    """… × 10: parameters of masses (…), first moments (… × 3) and Σ m r rᵀ about the origin (… × 3 × 3)."""
+    squares = second[..., [0, 1, 2], [0, 1, 2]]
+    inertia = np.sum(squares, axis=-1, keepdims=True) - squares
+    return np.concatenate([mass[..., None], first, inertia, -second[..., [0, 0, 1], [1, 2, 2]]], axis=-1)

@@ -170,6 +170,7 @@ class JointProblem:
         self._every = smooth - motion.rigid[:, joint]
         self.usual = usual_effects(motion, joint)
         self._filtered: dict[int, Array] = {}
+        self._space: tuple[dict[str, float], Space] | None = None
         creeping = creeping_effects(motion, joint)
         self._rows = self._equations(creeping)
         self.torque = smooth[self._rows]
@@ -277,6 +278,11 @@ class JointProblem:
 
     def space(self, in_model: dict[str, float]) -> Space:
         """The rows about the model as given, with all effects that may be causes."""
+        if self._space is None or self._space[0] != in_model:
+            self._space = dict(in_model), self._space_about(in_model)
+        return self._space[1]
+
+    def _space_about(self, in_model: dict[str, float]) -> Space:
         rows, joint = self._rows, self.joint
         gravity = self.motion.gravity[rows, joint]
         inertial = self.motion.rigid[rows, joint] - gravity

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,18 +151,20 @@ def _lowest(lags: Array, scores: Array) -> float:
     return float(lags[lowest] + shift * (lags[1] - lags[0]))
 
 
-def compare_readings(motion: Motion, drive: DriveTorque, derived: bool = False) -> ReadingScores:
-    """Score every reading that the log allows; ``derived`` as in :meth:`DriveTorque.candidates`."""
-    readings = drive.candidates(derived)
+def compare_readings(
+    motion: Motion, drive: DriveTorque, derived: bool = False, some: Sequence[Reading] = ()
+) -> ReadingScores:
+    """Score every reading that the log allows, or some; ``derived`` as in :meth:`DriveTorque.candidates`."""
+    readings = list(some) or drive.candidates(derived)
     joints = np.flatnonzero(motion.moves)
     sides = [_Sides(motion, int(joint)) for joint in joints]
     by_joint = np.full((len(readings), motion.q.shape[1]), np.nan)
     groups = np.full((len(readings), _GROUPS, len(joints)), np.nan)
     for first in range(0, len(readings), _AT_ONCE):
-        some = slice(first, first + _AT_ONCE)
-        torques = np.stack([motion.smooth_twice(drive.torque(reading)) for reading in readings[some]], axis=-1)
+        part = slice(first, first + _AT_ONCE)
+        torques = np.stack([motion.smooth_twice(drive.torque(reading)) for reading in readings[part]], axis=-1)
         for place, joint in enumerate(joints):
-            by_joint[some, joint], groups[some, :, place] = sides[place].scores(torques[:, joint])
+            by_joint[part, joint], groups[part, :, place] = sides[place].scores(torques[:, joint])
     pooled, grouped = np.nanmean(by_joint, axis=1), np.nanmean(groups, axis=2)
     return ReadingScores(tuple(readings), pooled, grouped, by_joint, motion.step_s)
 

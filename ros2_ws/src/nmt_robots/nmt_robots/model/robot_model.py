@@ -378,23 +378,20 @@ class RobotModel:
         mujoco, model, data = self._mujoco, self._model, self._data
         mujoco.mj_resetData(model, data)
         bodies = self.bodies_of(heavier) if heavier else np.empty(0, dtype=int)
-        result = np.empty(q.shape)
         positions, speeds, ratios, offsets = self._places(names)
-        angles, rates, changes, found = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
-        q, v, a = q @ ratios + offsets, v @ ratios, a @ ratios
+        angles, rates, changes = (np.tile(values, (len(q), 1)) for values in (data.qpos, data.qvel, data.qacc))
+        angles[:, positions], rates[:, speeds], changes[:, speeds] = q @ ratios + offsets, v @ ratios, a @ ratios
+        forces = np.empty_like(rates)
         model.body_mass[bodies] *= 2.0
-        shares = self.shares(names)
+        pose, speed, change, force = data.qpos, data.qvel, data.qacc, data.qfrc_inverse
         for row in range(len(q)):
-            angles[positions] = q[row]
-            rates[speeds] = v[row]
-            changes[speeds] = a[row]
+            pose[:], speed[:], change[:] = angles[row], rates[row], changes[row]
             mujoco.mj_inverse(model, data)
-            force = found[speeds]
+            forces[row] = force
             if yielding and self.floating:
-                force = force + self._given_way(speeds)
-            result[row] = shares @ force
+                forces[row, speeds] += self._given_way(speeds)
         model.body_mass[bodies] *= 0.5
-        return result
+        return np.asarray(forces[:, speeds] @ self.shares(names).T)
 
     def coupling(self, names: Sequence[str], poses: Array) -> Array:
         """J × J: torque at one joint over that which accelerates another, rms over poses (rows × J)."""

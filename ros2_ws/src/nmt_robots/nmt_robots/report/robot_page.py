@@ -22,6 +22,8 @@ from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 _FAULTS = 2
 """On the first screen; the table has all."""
+_LISTED = 3
+"""Joints whose sizes are on the first screen."""
 _REPLAYED_JOINTS = 4
 _REPLAYED_POINTS = 600
 """In a figure."""
@@ -61,14 +63,29 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
 
 def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     """How far the simulation is from the motion, what differs in bodies and joints, and how the log was read."""
-    named = [f"{joint.joint.name}: {joint.difference}" for joint in diagnosis.joints if joint.differs]
     faults = [finding.sentence for finding in diagnosis.findings if finding.fault]
     rows = [] if diagnosis.replay is None else [("In motion", diagnosis.replay.sentence)]
     rows += [] if diagnosis.bodies is None else [("Bodies", diagnosis.bodies.sentence)]
-    rows.append(("Joints", "; ".join(named) + "." if named else "No joint differs from the model by a named cause."))
+    rows.append(("Joints", _named(diagnosis)))
     read = f"It is read with: {diagnosis.reading.text()}."
-    rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["It has no fault."]), read])))
+    more = [f"{len(faults) - _FAULTS} more faults are below."] if len(faults) > _FAULTS else []
+    rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["It has no fault."]), *more, read])))
     return rows
+
+
+def _named(diagnosis: RobotDiagnosis) -> str:
+    """What differs joint by joint with sizes, or by cause where many joints differ."""
+    differing = [joint for joint in diagnosis.joints if joint.differs]
+    if not differing:
+        return "No joint differs from the model by a named cause."
+    if len(differing) <= _LISTED:
+        return "; ".join(f"{joint.joint.name}: {joint.difference}" for joint in differing) + "."
+    causes: dict[str, list[str]] = {}
+    for joint in differing:
+        for name in dict.fromkeys(term.brief for term in joint.terms if term.differs):
+            causes.setdefault(name, []).append(joint.joint.name)
+    words = "; ".join(f"{name} at {', '.join(joints)}" for name, joints in causes.items())
+    return f"{words[:1].upper()}{words[1:]}. The table has sizes."
 
 
 def _unit(diagnosis: RobotDiagnosis) -> str:

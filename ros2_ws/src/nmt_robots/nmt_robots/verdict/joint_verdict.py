@@ -62,13 +62,17 @@ class JointTerm:
         every = (self.words, *self.equal)
         return " or ".join(every) if len(every) < 3 else f"{', '.join(every[:-1])} or {every[-1]}"
 
+    @property
+    def brief(self) -> str:
+        """Its words; of bodies, which all joints share, without their names."""
+        return "bodies that differ" if self.key == "bodies" else self.words
+
     def text(self) -> str:
         """The term in a sentence."""
         if self.impossible < 0.0:
             return f"{self.words}: {self.impossible:.3g} {self.unit} would fit, which is impossible: timing"
         if self.key in OF_ALL_JOINTS:
-            words = "bodies that differ" if self.key == "bodies" else self.words
-            return f"{words} ({percent(self.share)} of its torque)"
+            return f"{self.brief} ({percent(self.share)} of its torque)"
         model = f" (model {self.in_model:.3g})" if self.in_model else ""
         alike = [words for words in self.alike if words not in self.equal][:_MOST_ALIKE]
         also = f"; hardly distinguishable from {', '.join(alike)}" if alike else ""
@@ -149,7 +153,7 @@ class JointVerdict:
     def difference(self) -> str:
         """What differs from the model, with sizes."""
         if self.differs:
-            words = "; ".join(term.text() for term in self.terms if term.differs)
+            words = "; ".join(f"{term.text()}{self._at_its_middle(term)}" for term in self.terms if term.differs)
             if self.adequate:
                 return words
             return self.joint.units(f"{words}; in part: the rest of the torque stays without a name")
@@ -157,6 +161,13 @@ class JointVerdict:
             return "nothing: as in the model"
         share = percent(self.unchanged / self.torque)
         return self.joint.units(f"not known: the model leaves {share} of the torque, no cause is claimed")
+
+    def _at_its_middle(self, spring: JointTerm) -> str:
+        """Torque of a spring at the mean angle, which its rest makes; empty of other terms and where that is small."""
+        offset = next((term for term in self.terms if term.key == "offset" and not term.differs), None)
+        if spring.key != "spring" or offset is None or offset.share < THRESHOLDS.smallest_share:
+            return ""
+        return f", {value_text(offset.value, offset.std, offset.unit)} at the mean angle"
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""

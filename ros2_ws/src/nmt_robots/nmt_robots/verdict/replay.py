@@ -295,9 +295,8 @@ def replayed(
     if found[0] is not robot or found[1] is not log or words:
         by_changed = predicted(*found, changed)
     span = f"the last {(len(motion.q) - first) * step:.3g} s, with sizes fitted to the rows before"
-    what = (
-        f"the recorded command through the drives' law ({reading.text()})" if driven.is_law else "the measured torque"
-    )
+    read = reading.text() if reading == readings[0] else f"{reading.text()}, which fits as well"
+    what = f"the recorded command through the drives' law ({read})" if driven.is_law else "the measured torque"
     how = f"{len(starts)} windows of {span}, driven by {what}{'; the base stands still' if robot.floating else ''}."
     models = {"as given": by_model} | ({"as changed": by_changed} if by_changed is not by_model else {})
     left = [f"{item.ended()} of the model {words}" for words, item in models.items() if item.ended()]

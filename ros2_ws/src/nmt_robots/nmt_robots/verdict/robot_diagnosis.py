@@ -448,7 +448,7 @@ def with_base(
 ) -> tuple[Motion, ReadingScores, list[Finding]]:
     """Whether the base stood still or gave way, by all joints together."""
     yielding = with_yielding_base(robot, log, motion)
-    other = compare_readings(yielding, drive, derived)
+    other = compare_readings(yielding, drive, derived, scores.fit_as_well())
     still, gives = float(np.min(scores.relative)), float(np.min(other.relative))
     apart = float(np.sqrt(gives / still)) - 1.0
     alike = abs(apart) < 0.5 * THRESHOLDS.fits_as_well
@@ -463,7 +463,9 @@ def with_base(
     finding = Finding(
         "base", sentence, -abs(apart), float("nan"), "1", abs(apart) if better else 0.0, fault=better and not alike
     )
-    return (yielding, other, [finding]) if better and not alike else (motion, scores, [finding])
+    if not better or alike:
+        return motion, scores, [finding]
+    return yielding, compare_readings(yielding, drive, derived), [finding]
 
 
 def _few(readings: list[Reading]) -> list[Reading]:
@@ -533,15 +535,16 @@ def _understood(
             results[number].append(found[number])
     signals = [drive.signals(reading) for reading in as_well]
     for number in movers:
-        refused = frozenset[str]()
+        refused, problems = frozenset[str](), list[JointProblem]()
         while True:
             items = results[number]
-            doubted = of_all.union(uncertain_means(items), *(item.lost for item in items))
-            more = frozenset(items[0].causes) & doubted - refused
+            causes = frozenset(items[0].causes)
+            doubted = uncertain_means(items).union(*(item.lost for item in items))
+            more = (causes & doubted | (of_all if causes & of_all else frozenset())) - refused
             if not more:
                 break
             refused |= more
-            problems = [JointProblem(motion, number, signal.of(number), names) for signal in signals]
+            problems = problems or [JointProblem(motion, number, signal.of(number), names) for signal in signals]
             best = explain(problems[0], believed[number], without=refused)
             results[number] = [best, *(explain(problem, believed[number], best) for problem in problems[1:])]
     return as_well, results

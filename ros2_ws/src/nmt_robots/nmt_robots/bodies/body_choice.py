@@ -249,7 +249,7 @@ class BodyEvidence:
         return np.array([mass, *(mass * place), *inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
 
     def _end(self, link: int) -> Array:
-        return self.shapes.centres[link]
+        return np.asarray(self.shapes.centres[link])
 
     def _at(self, explanation: BodyExplanation, white: Whitened, numbers: Array, pulls: Array) -> tuple[float, Array]:
         """Cost, and what the whitened rows leave."""

@@ -68,7 +68,7 @@ def solve_many(gram: Array, moments: Array, never_negative: Array) -> Array:
     gram, moments = gram / np.outer(scale, scale), moments / scale[:, None]
     values = np.zeros(moments.shape)
     # Right-hand sides with the same coefficients held at zero are solved together.
-    waiting = {(): np.arange(moments.shape[1])}
+    waiting: dict[tuple[int, ...], Array] = {(): np.arange(moments.shape[1])}
     while waiting:
         held, columns = waiting.popitem()
         free = np.setdiff1d(np.arange(count), held)
@@ -83,7 +83,7 @@ def solve_many(gram: Array, moments: Array, never_negative: Array) -> Array:
             values[:, some] = 0.0
             more = tuple(sorted((*held, int(number))))
             waiting[more] = np.append(waiting.get(more, np.empty(0, dtype=int)), some)
-    return values / scale[:, None]
+    return np.asarray(values / scale[:, None])
 
 
 def solve_scaled(gram: Array, moment: Array, least: float) -> Array:

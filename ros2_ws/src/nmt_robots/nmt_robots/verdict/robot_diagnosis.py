@@ -533,7 +533,7 @@ def _understood(
         as_well.append(reading)
         for number in movers:
             results[number].append(found[number])
-    signals = [drive.signals(reading) for reading in as_well]
+    every = [drive.signals(reading) for reading in as_well]
     for number in movers:
         refused, problems = frozenset[str](), list[JointProblem]()
         while True:
@@ -544,7 +544,7 @@ def _understood(
             if not more:
                 break
             refused |= more
-            problems = problems or [JointProblem(motion, number, signal.of(number), names) for signal in signals]
+            problems = problems or [JointProblem(motion, number, signals.of(number), names) for signals in every]
             best = explain(problems[0], believed[number], without=refused)
             results[number] = [best, *(explain(problem, believed[number], best) for problem in problems[1:])]
     return as_well, results

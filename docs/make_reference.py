@@ -98,7 +98,7 @@ RIG_MEANINGS: dict[str, dict[str, str]] = {
         "added_masses": "masses fixed to points",
         "oscillators": "masses on springs at points, each one more degree of freedom",
         "damping_factors": "factors on the damping ratios of the undamped modes, lowest first; the last one holds "
-        "for all above",
+        "for all above; what couples two modes takes the geometric mean of their factors",
         "loss_factor": "η of hysteretic damping K (1 + iη), as ζ = η / 2 of every undamped mode",
     },
     "OscillatorSection": {

@@ -34,7 +34,7 @@ def test_the_same_friction_agrees_and_closes_the_other_log(tmp_path: Path) -> No
     assert "1 of 1 differing values agree within 2 ±" in other.sentence
     page = robot_page(diagnosis)
     places = [
-        page.index(words) for words in ("elbow: Coulomb friction 0.9", "It has no fault", 'id="joints"', 'id="log"')
+        page.index(words) for words in ("elbow: Coulomb friction 0.9", "No fault was found.", 'id="joints"', 'id="log"')
     ]
     assert places == sorted(places)
     assert 'id="others"' in page

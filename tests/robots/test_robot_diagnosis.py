@@ -41,7 +41,10 @@ def test_a_healthy_log_keeps_silent() -> None:
     strayed = replace(joint, unchanged=0.5 * joint.torque)
     assert strayed.cause == "not known"
     assert strayed.difference == "not known: the model leaves 50 % of the torque, no cause is claimed"
-    assert "; 1 without a known cause" in replace(diagnosis, joints=(strayed,)).verdict
+    assert (
+        "0 of 1 joints differ from the model by a named cause; 1 more differs without"
+        in replace(diagnosis, joints=(strayed,)).verdict
+    )
     assert not [finding for finding in diagnosis.findings if finding.fault]
     assert joint.left < 0.05 * joint.torque
 
@@ -58,8 +61,8 @@ def test_planted_coulomb_friction_is_found() -> None:
     # Friction that the file lacks is a square wave: what the model leaves is its rms.
     assert joint.unchanged == pytest.approx(0.9 - found.in_model, rel=0.15)
     assert (
-        f"the model as given leaves {joint.unchanged:.3g} N·m of the torque (rms over the joints), with what is named "
-        f"{joint.left:.3g} N·m. The log has no fault." in diagnosis.verdict
+        f"the torque is off by {joint.unchanged:.3g} N·m (rms over the joints) with the model as given, by "
+        f"{joint.left:.3g} N·m with the changes. No fault was found in the log." in diagnosis.verdict
     )
 
 

@@ -83,7 +83,8 @@ class RobotSimulation:
         """J, kg·m²: what a torque at a joint accelerates in this pose while the others are free, armature included."""
         inverse = np.empty((self._model.nv, self._model.nv))
         self._mujoco.mj_solveM(self._model, self._data, inverse, np.eye(self._model.nv))
-        return np.asarray(1.0 / np.diag(inverse)[self._dofs])
+        torques: Array = 1.0 / np.diag(inverse)[self._dofs]
+        return torques
 
     def body_torques(self) -> tuple[Array, Array]:
         """J each, N·m: torque of the bodies at rest in this pose, and what motion adds to it."""

@@ -55,8 +55,8 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
             ("log", "The log", _log(diagnosis)),
             *([("file", "The robot's file", _file(diagnosis))] if diagnosis.of_file else []),
         ],
-        footer="Torque left: rms on seconds that no fit has seen. ± is a standard uncertainty; it spans all readings "
-        "of the log that fit as well. Nothing is claimed below 3 % of a joint's torque. SI units.",
+        footer="Torque left: rms on held-out seconds. ± is a standard uncertainty; it covers all timings of the log "
+        "that fit equally well. Nothing is claimed below 3 % of a joint's torque. SI units.",
     )
     return page.html()
 
@@ -67,9 +67,9 @@ def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     rows = [] if diagnosis.replay is None else [("In motion", diagnosis.replay.sentence)]
     rows += [] if diagnosis.bodies is None else [("Bodies", diagnosis.bodies.sentence)]
     rows.append(("Joints", _named(diagnosis)))
-    read = f"It is read with: {diagnosis.reading.text()}."
+    read = f"Timing: {diagnosis.reading.text()}."
     more = [f"{len(faults) - _FAULTS} more faults are below."] if len(faults) > _FAULTS else []
-    rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["It has no fault."]), *more, read])))
+    rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["No fault was found."]), *more, read])))
     return rows
 
 
@@ -97,7 +97,7 @@ def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
     return [
         ("Torque", values["torque"], "rms over the joints"),
         ("Left by the model as given", values["unchanged"], "held-out seconds"),
-        ("Left with what is named", values["left"], "held-out seconds"),
+        ("Left by the changed model", values["left"], "held-out seconds"),
     ]
 
 
@@ -116,7 +116,7 @@ def _log(diagnosis: RobotDiagnosis) -> Markup:
                      share, whose))  # fmt: skip
     head = [("", ""), ("finding", ""), ("size", ""), ("share of the residual", ""), ("joints", "")]
     others = ", or ".join(reading.text() for reading in diagnosis.as_well[1:])
-    note = f"Fits as well: {others}." if others else "No other reading fits as well."
+    note = f"Other timings that fit equally well: {others}." if others else "No other timing fits as well."
     return html_table(head, rows, note)
 
 
@@ -144,8 +144,8 @@ def _bodies(diagnosis: RobotDiagnosis) -> Markup:
         parts += html_table(head, lefts, note)
     if found.unseen:
         note = (
-            "By the motion alone: a mass off by 30 %, a centre by 3 cm would change no torque by 3 %. "
-            "These stay at the file's values."
+            "This motion does not determine them: 30 % of a mass or 3 cm of a centre change every torque by less "
+            "than 3 %. They keep the file's values."
         )
         parts += html_table([("this log cannot tell", "")], [(item,) for item in found.unseen], note)
     return parts
@@ -160,7 +160,7 @@ def _joints(diagnosis: RobotDiagnosis) -> Markup:
         ("torque left", _unit(diagnosis)),
         ("what remains", ""),
     ]
-    return html_table(head, rows, "Closed: of the residual of the model as given, on seconds that no fit has seen.")
+    return html_table(head, rows, "Closed: share of the residual of the model as given, on held-out seconds.")
 
 
 def _joint_row(joint: JointVerdict) -> tuple[str, ...]:
@@ -181,7 +181,12 @@ def _held_out(diagnosis: RobotDiagnosis) -> Markup:
     names = ("torque", "model as given", "plain fit, log as it is", "plain fit", "all terms", "plain fit, last part",
              "all terms, last part")  # fmt: skip
     head = [("joint", ""), *((name, _unit(diagnosis)) for name in names)]
-    return html_table(head, rows, "Last part: fitted to the first 70 % of the rows, judged by the others.")
+    return html_table(
+        head,
+        rows,
+        "Plain fit: Coulomb and viscous friction, armature and an offset. Last part: fitted to the first 70 % of the "
+        "rows, judged by the others.",
+    )
 
 
 def _others(diagnosis: RobotDiagnosis) -> Markup:
@@ -256,7 +261,8 @@ def _motions(replay: Replay) -> ReportFigure:
     grid[-1][1].set_xlabel("time (s)")
     grid[0][0].legend(ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     more = len(replay.joints) - len(chosen)
-    words = "Left: error over the horizon. Right: windows; grey is measured. The joints that are off most."
+    words = "The joints with the largest errors. Left: error over the time since the measured state. Right: windows, "
+    words += "measured in grey."
     words += f" {more} more are in the table." if more else ""
     return ReportFigure("replay", "Measured and simulated motion", words,
                         svg_text(figure, "replay", "Error over the horizon; positions"), wide=True)  # fmt: skip
@@ -297,22 +303,23 @@ def _next(diagnosis: RobotDiagnosis) -> Markup:
     rows = [(str(number + 1), request.sentence) for number, request in enumerate(diagnosis.next.requests)]
     note = (
         "trajectory.csv and trajectory.yaml (trajectory_msgs/JointTrajectory) hold it, inside the ranges of the joints "
-        "and no faster than this log. They do not know the robot's surroundings: look first."
+        "and no faster than this log. They are not checked for collisions with the "
+        "surroundings: check the clearance first."
     )
-    return html_table([("part", ""), ("motion and what it parts", "")], rows, note)
+    return html_table([("part", ""), ("motion and what it separates", "")], rows, note)
 
 
 def _limits(diagnosis: RobotDiagnosis) -> Markup:
     rows = [
-        ("armature or inertia of a link that turns alone", "the same column in any log", "weigh the link"),
+        ("armature or inertia of a link that turns alone", "not separable in any log", "weigh the link"),
         ("friction that builds up over an angle", "named where slow reversals are many",
          "slow reversals, two amplitudes"),
         ("torque constant or all of mass, friction and armature scaled", "only beyond their tolerances",
-         "a known hung mass"),
-        ("temperature, bands of position, hoses", "leave a residual that nothing fits", "the same motion when warm"),
+         "a known payload"),
+        ("temperature, bands of position, hoses", "no term of the library describes them", "the same motion when warm"),
     ]  # fmt: skip
     if diagnosis.log.is_arithmetic:
-        rows.insert(1, ("velocity gain or viscous friction", "the same column where the torque is computed",
+        rows.insert(1, ("velocity gain or viscous friction", "not separable where the torque is computed",
                         "measured current, or a velocity command that is not zero"))  # fmt: skip
     return html_table([("what", ""), ("why", ""), ("what would tell", "")], rows)
 

@@ -164,7 +164,7 @@ def _wanted(
     ask(
         "poses",
         list(classes),
-        "gravity alone, once with a known mass hung on, separates the scale of the drive from the mass of the link",
+        "gravity alone, once with a known payload, separates the scale of the drive from the mass of the link",
     )
     unknown = [item for item in verdicts if item.mechanics is not None and item.cause == "not known"]
     ask("triangle", [item.joint.name for item in unknown],

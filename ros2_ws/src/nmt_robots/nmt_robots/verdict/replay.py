@@ -133,12 +133,12 @@ class Replay:
             found = [self.after(predicted, span) for span in self.horizons_s]
             beyond = [self.is_beyond(predicted, span) for span in self.horizons_s]
             whose = [(self.tool, [tool for _, tool in found], "mm")]
-            for name, unit, kind in (("joints that turn", "mrad", True), ("joints that slide", "mm", False)):
+            for name, unit, kind in (("revolute joints", "mrad", True), ("sliding joints", "mm", False)):
                 chosen = np.array(self.turns) == kind
                 if np.any(chosen):
                     whose.append((name, [float(np.sqrt(np.mean(joints[chosen] ** 2))) for joints, _ in found], unit))
             parts.append(f"{words}: {', '.join(f'{who} {_sizes(sizes, beyond, unit)}' for who, sizes, unit in whose)}")
-        return f"After {spans} s from a measured state the model is off by (rms), {'; '.join(parts)}. {self.how}"
+        return f"Error (rms) {spans} s after a measured state, {'; '.join(parts)}. {self.how}"
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
@@ -294,10 +294,11 @@ def replayed(
     words = {name: item.words for name, item in zip(log.joints, changed, strict=True) if item.words}
     if found[0] is not robot or found[1] is not log or words:
         by_changed = predicted(*found, changed)
-    span = f"the last {(len(motion.q) - first) * step:.3g} s, with sizes fitted to the rows before"
+    span = f"the last {(len(motion.q) - first) * step:.3g} s, sizes fitted to earlier rows"
     read = reading.text() if reading == readings[0] else f"{reading.text()}, which fits as well"
     what = f"the recorded command through the drives' law ({read})" if driven.is_law else "the measured torque"
-    how = f"{len(starts)} windows of {span}, driven by {what}{'; the base stands still' if robot.floating else ''}."
+    how = f"{len(starts)} windows of {span}. The simulation is driven by {what}"
+    how += "; the base stands still." if robot.floating else "."
     models = {"as given": by_model} | ({"as changed": by_changed} if by_changed is not by_model else {})
     left = [f"{item.ended()} of the model {words}" for words, item in models.items() if item.ended()]
     if left:

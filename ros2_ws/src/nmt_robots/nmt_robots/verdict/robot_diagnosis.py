@@ -57,6 +57,7 @@ from nmt_robots.verdict.replay import Replay
 from nmt_robots.verdict.transmission_verdict import joint_with_transmission, verdict_with_transmission
 
 Progress = Callable[[str], None]
+_NO_FAULT = "No fault was found in the log."
 _CLEARLY_WORSE = 4.0
 """Squares that a reading leaves with the causes, against those of the best one, from which it does not fit as well."""
 _POSES = 200
@@ -199,18 +200,20 @@ class RobotDiagnosis:
         if not judged:
             return "No joint moves enough to be judged."
         faults = sum(finding.fault for finding in self.findings)
-        log = f"The log has {faults} faults." if faults > 1 else f"The log has {'one' if faults else 'no'} fault."
+        log = f"The log has {faults} faults." if faults > 1 else "The log has one fault." if faults else _NO_FAULT
         differing = sum(joint.differs for joint in judged)
         open_joints = sum(not joint.differs and not joint.is_as_in_the_model for joint in judged)
-        unknown = f"; {open_joints} without a known cause" if open_joints else ""
+        unknown = (
+            f"; {open_joints} {'more differ' if open_joints > 1 else 'more differs'} without" if open_joints else ""
+        )
         bodies = self.bodies.words if self.bodies is not None else ""
         bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
         as_given, named = (rms_text(self.left_over(which)) for which in ("unchanged", "left"))
         efforts = "force" if all(not joint.joint.turns for joint in judged) else "torque"
         return (
-            f"{bodies}Joints that differ from the model by a named cause: {differing} of {len(judged)}{unknown}. "
-            f"On motion that no fit has seen the model as given leaves {as_given} of the "
-            f"{efforts} (rms over the joints), with what is named {named}. {log}"
+            f"{bodies}{differing} of {len(judged)} joints differ from the model by a named cause{unknown}. "
+            f"On held-out motion the {efforts} is off by {as_given} (rms over the joints) with the model as given, by "
+            f"{named} with the changes. {log}"
         )
 
     def to_mapping(self) -> dict[str, Any]:

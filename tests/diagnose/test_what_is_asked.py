@@ -28,15 +28,15 @@ from nmt_diagnose.ledger.size import (
     Size,
     compared_with_simpler,
     contradiction,
+    implausible_chain,
     implausible_parameters,
     largest_left,
     leaves_something,
     left_over,
     left_within_belief,
     needed,
+    prior_misfit,
     relief,
-    strained_chain,
-    tension,
 )
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part
@@ -123,10 +123,10 @@ def test_an_error_of_the_chain_counts_where_rows_leave_what_matters_without_it()
     wanted = DiagnosisSettings().matters
     search, null = searched(with_gains(1.06))
     assert not leaves_something(search.data, null, wanted)
-    (sentence,) = strained_chain(search.data, null, wanted)
+    (sentence,) = implausible_chain(search.data, null, wanted)
     assert "gain " in sentence
     assert "% of a response" in sentence
-    assert strained_chain(searched_model()[0].data, searched_model()[1], wanted) == ()
+    assert implausible_chain(searched_model()[0].data, searched_model()[1], wanted) == ()
     search, null = searched(with_gains(1.2))
     assert largest_left(search.data, null, wanted) < 1.0
     assert left_within_belief(search.data, null, wanted) > 1.0
@@ -235,11 +235,11 @@ def test_errors_that_share_a_reason_count_together() -> None:
     theta[:-1] = 0.0
     errors = replace(cubic.fit.errors, chain=np.zeros_like(cubic.fit.errors.chain))
     free = FittedExplanation(cubic.candidates, replace(cubic.fit, theta=theta, errors=errors))
-    assert tension(search.data, strained_by(null, 2.0)) == pytest.approx(16.0)
+    assert prior_misfit(search.data, strained_by(null, 2.0)) == pytest.approx(16.0)
     # Of the state in which a record begins nobody believes anything before.
     begins = tuple(f"start {k} of a record" for k in range(4))
     record = replace(search.data, chain_names=(*begins, *search.data.chain_names[4:]))
-    assert tension(record, strained_by(null, 2.0)) == 0.0
+    assert prior_misfit(record, strained_by(null, 2.0)) == 0.0
     assert pass_all(OF_EFFECTS, relief(search.data, free, strained_by(null, 1.01 * edge), wanted))
     assert not pass_all(OF_EFFECTS, relief(search.data, free, strained_by(null, 0.99 * edge), wanted))
     small = relief(search.data, free, strained_by(null, 1.01 * edge), dict.fromkeys(wanted, 1e9))

@@ -117,7 +117,7 @@ class BenchNode(Node):  # type: ignore[misc]
             self.instance,
             lockstep=self.in_lockstep,
         )
-        self._told = ""
+        self._last_message = ""
         if self.watched_nodes:
             self.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50, raw=True)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
@@ -238,8 +238,8 @@ class BenchNode(Node):  # type: ignore[misc]
         self.update_counters()
         waiting = f"waiting for {', '.join(missing)}" if missing else ""
         message = waiting or second or self.why_not_ready() or READY
-        if message != self._told:
-            self._told = message
+        if message != self._last_message:
+            self._last_message = message
             self.get_logger().info(message[:1].upper() + message[1:])
         self.publish_diagnostics(DiagnosticStatus.ERROR if second and not waiting else DiagnosticStatus.OK, message)
 
@@ -310,17 +310,17 @@ class ReaderProgress:
         topic = TAKEN_TOPICS[reader]
         self._publisher = node.create_publisher(UInt64, topic, STATE_QOS)
         node.identity.claim(topic)
-        self._told = 0
+        self._last_sample = 0
 
     def tell(self, sample: int, rate: float) -> None:
         """Tell the first sample that has not been taken, about once in a second of bench time (``rate`` in Hz)."""
-        if abs(sample - self._told) >= TELL_EVERY * rate:
+        if abs(sample - self._last_sample) >= TELL_EVERY * rate:
             self.rest(sample)
 
     def rest(self, sample: int) -> None:
         """Tell it, if it is news, since nothing more is there to be taken: the plant may wait for this very sample."""
-        if sample != self._told:
-            self._told = sample
+        if sample != self._last_sample:
+            self._last_sample = sample
             self._publisher.publish(UInt64(data=sample))
 
 

@@ -37,7 +37,7 @@ from nmt_diagnose.ledger.held_out import HeldOut, named_tests, splits
 from nmt_diagnose.ledger.judgement import Judgement, judged
 from nmt_diagnose.ledger.ledger import ledger_of
 from nmt_diagnose.ledger.rules import GAP, NEEDED, WITHIN
-from nmt_diagnose.ledger.size import large_lines, measured_size, strained_chain
+from nmt_diagnose.ledger.size import implausible_chain, large_lines, measured_size
 from nmt_diagnose.ledger.warnings import frequencies_alone, warned, without_observables
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.observables import Part
@@ -423,7 +423,7 @@ def _sentences(
     if verdict in (Verdict.NONE, Verdict.CALIBRATION):
         text = (
             *text,
-            *strained_chain(findings.data, findings.null, settings.matters),
+            *implausible_chain(findings.data, findings.null, settings.matters),
             *frequencies_alone(observations),
         )
     if judgement.named is not None:

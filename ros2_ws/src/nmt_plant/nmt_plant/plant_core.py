@@ -75,7 +75,7 @@ class PlantCore:
         self.phase = RunPhase.UNKNOWN
         self.running = False
         self._begun_at = 0
-        self._told: DriveStop | None = None
+        self._last_stop: DriveStop | None = None
         self._rest_shown = True  # whether the drive was at zero throughout the newest block
         self._meter = LevelMeter(device.sample_rate, device.block_samples)
         self._gate = LockstepGate(device.block_samples, latency_blocks)
@@ -198,11 +198,11 @@ class PlantCore:
         To be asked after every block and after everything that may stop or release the drive.
         """
         cause = self.device.stop_cause
-        told = self._told
+        told = self._last_stop
         if cause is StopCause.UNKNOWN:
             if told is None:
                 return None
-            self._told, reason = None, ""
+            self._last_stop, reason = None, ""
             cause, output = StopCause.RELEASED, OutputState.AT_ZERO
         else:
             output, reason = self.device.output_state, self.device.tripped
@@ -211,15 +211,15 @@ class PlantCore:
         sample = self.device.next_sample
         stop = DriveStop(sample, cause, output, reason, bench_time_ns(sample, self.device.sample_rate))
         if cause is not StopCause.RELEASED:
-            self._told = stop
+            self._last_stop = stop
         return stop
 
     def failure(self, reason: str) -> DriveStop:
         """What is to be told when the device has failed and is closed."""
         sample = self.device.next_sample
         time_ns = bench_time_ns(sample, self.device.sample_rate)
-        self._told = DriveStop(sample, StopCause.DEVICE, self.device.output_state, reason, time_ns)
-        return self._told
+        self._last_stop = DriveStop(sample, StopCause.DEVICE, self.device.output_state, reason, time_ns)
+        return self._last_stop
 
     def quiet_down(self, reason: str, cause: StopCause = StopCause.NODE) -> Iterator[list[SampleBlock]]:
         """Emergency ramp to zero: the blocks of the ramp, since in lockstep only this moves bench time on.

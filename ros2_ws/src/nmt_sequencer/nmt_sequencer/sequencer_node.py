@@ -107,7 +107,7 @@ class SequencerNode(BenchNode):
             self.bench_service(Trigger, name, call)
         self.bench_service(Steer, "steer", self._steer)
         self._refused = 0
-        self._told = ""
+        self._named_second = ""
         self._launcher = LauncherWatch()
         self.steady_timer(_GUARD_PERIOD, self._guard)
         self._publish_state()
@@ -201,7 +201,7 @@ class SequencerNode(BenchNode):
         elif not missing and not own and not second and recorded and self._join_plant():
             self._pending = None
             self.liveness.forget_failures(time.monotonic())
-            self._told = ""
+            self._named_second = ""
             self._still_for = self._waited = 0.0
             self.core.start(plan)
             self._publish_all()
@@ -292,8 +292,8 @@ class SequencerNode(BenchNode):
             return
         reason = f"{second[0].upper()}{second[1:]}."
         self.machine.stop(ResultCode.NODE_LOST, reason)  # as where another node has heard of it first
-        if self._told != second:
-            self._told = second
+        if self._named_second != second:
+            self._named_second = second
             self.get_logger().warning(f"The run ends: {reason}")
 
     def _on_lock(self, raw: bytes) -> None:

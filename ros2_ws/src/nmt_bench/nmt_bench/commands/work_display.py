@@ -36,7 +36,7 @@ class WorkDisplay:
         self._began = self._said = time.monotonic()
 
     def __enter__(self) -> WorkDisplay:
-        self._stack.enter_context(listening(self._told))
+        self._stack.enter_context(listening(self._on_progress))
         if self._steps:
             self.step()
         return self
@@ -52,7 +52,7 @@ class WorkDisplay:
         self._number += 1
         tell(what)
 
-    def _told(self, what: str, done: int, total: int) -> None:
+    def _on_progress(self, what: str, done: int, total: int) -> None:
         if 0 < total <= done and self._before[0]:
             what, done, total = self._before  # what is done gives way to the work that it was part of
         if what != self._now[0]:

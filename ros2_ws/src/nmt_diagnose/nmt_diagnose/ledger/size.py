@@ -27,7 +27,7 @@ from nmt_diagnose.thresholds import THRESHOLDS
 
 _PERCENT = 100.0
 _SENSORS = ("response_sensor", "force_sensor")
-# Of a strained chain, the furthest first.
+# Of an implausible chain, the furthest first.
 _NAMED_ERRORS = 3
 
 
@@ -332,7 +332,7 @@ def relief(data: Data, more: FittedExplanation, less: FittedExplanation, wanted:
 
     Several errors of 3 standard deviations with one cause are plausible one by one and not together.
     """
-    fall = (tension(data, less) - tension(data, more)) / relief_that_counts(data, less)
+    fall = (prior_misfit(data, less) - prior_misfit(data, more)) / relief_that_counts(data, less)
     change = math.nan if fall < 1.0 else over(measured_size(data, more, _added(more, less)), wanted)
     return Facts(left_without=fall, change=change)
 
@@ -342,7 +342,7 @@ def _added(more: FittedExplanation, less: FittedExplanation) -> tuple[int, ...]:
     return tuple(k for k, candidate in enumerate(more.candidates) if candidate.cause not in less.fitted.causes)
 
 
-def tension(data: Data, found: FittedExplanation) -> float:
+def prior_misfit(data: Data, found: FittedExplanation) -> float:
     """Prior misfit of a fit: squared distance of model parameters and chain errors from their priors, −2 ln p."""
     believed = _believed(data, found)
     return float(believed @ believed)
@@ -354,7 +354,7 @@ def relief_that_counts(data: Data, found: FittedExplanation) -> float:
     return float(chdtri(1, THRESHOLDS.comparison.incredible_probability / max(count, 1)))
 
 
-def strained_chain(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> tuple[str, ...]:
+def implausible_chain(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> tuple[str, ...]:
     """A sentence on errors of the measuring chain that are implausible together; else none.
 
     Each is named with its distance in tolerances and, where it changes what has a size, with what it does there.

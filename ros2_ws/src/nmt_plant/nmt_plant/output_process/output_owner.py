@@ -219,10 +219,10 @@ class OutputOwner:
         self._since_feed = 0
         self._moving = False
         self._hole = self._lost = (0, 0)
-        self._told: tuple[OutputState, bool, int, int] | None = None
-        self._told_at = self._touched_at = -math.inf
+        self._reported: tuple[OutputState, bool, int, int] | None = None
+        self._reported_at = self._touched_at = -math.inf
         self._recorded: tuple[OutputState, str] | None = None
-        self._ending = self._told_to_end = self._stopped = self._stop_is_set = False
+        self._ending = self._reported_to_end = self._stopped = self._stop_is_set = False
         self.cause = StopCause.UNKNOWN
         self.reason = ""
 
@@ -309,7 +309,7 @@ class OutputOwner:
 
     def terminate(self) -> None:
         """Take the output to zero and end, as when the feeding side ends; may be called by a signal's handler."""
-        self._told_to_end = True
+        self._reported_to_end = True
 
     def _to_zero(self, reason: str, ramp: float | None = None, cause: StopCause = StopCause.OUTPUT) -> None:
         if not self.reason:
@@ -374,7 +374,7 @@ class OutputOwner:
 
     def _watch(self) -> None:
         """External stop, deadline, and whether the process that feeds is still there."""
-        if self._told_to_end:
+        if self._reported_to_end:
             self._end("the process that owns the output was told to end")
         if self._parent is not None and os.getppid() != self._parent:
             self._end("the process that fed the output has ended")
@@ -452,7 +452,7 @@ class OutputOwner:
             self._write_record(self._record, state, now)
         block = self._settings.block_samples
         told = (state, self._stop_is_set, self._next // block, (self._taken - self._delay_samples) // block)
-        if told == self._told and now - self._told_at < _BEAT:
+        if told == self._reported and now - self._reported_at < _BEAT:
             return
         ranges = (*self._hole, *self._lost)
         head = _REPORT.pack(
@@ -475,7 +475,7 @@ class OutputOwner:
         except OSError:
             return
         self._hole = self._lost = (0, 0)
-        self._told, self._told_at = told, now
+        self._reported, self._reported_at = told, now
 
     def _write_record(self, record: OutputRecord, state: OutputState, now: float) -> None:
         with contextlib.suppress(OSError):  # a full disk must not stop the output

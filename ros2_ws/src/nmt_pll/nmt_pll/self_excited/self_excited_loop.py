@@ -358,7 +358,9 @@ class SelfExcitedLoop(LevelLoop):
             statistics = self.dwell.statistics()
             obstacle = self.obstacle(statistics, target)
             if not obstacle:
-                return self._lock(end, self.controller.output, self._phase(force, velocity), self._told(statistics))
+                return self._lock(
+                    end, self.controller.output, self._phase(force, velocity), self._lock_words(statistics)
+                )
             if end > self._deadline:
                 self._lose(level, end, f"no lock within the time-out: {obstacle}")
         return None
@@ -387,7 +389,7 @@ class SelfExcitedLoop(LevelLoop):
             return f"the amplitude is {100 * error:.2f} % off its target"
         return ""
 
-    def _told(self, s: DwellStatistics) -> str:
+    def _lock_words(self, s: DwellStatistics) -> str:
         names = {"amplitude": "amplitude control", "feedback": "velocity feedback"}
         return f"{names[self._chosen]}: frequency {100 * s.mean:.4f} % off by the force across the velocity"
 

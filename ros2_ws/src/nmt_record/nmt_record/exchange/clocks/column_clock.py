@@ -167,7 +167,7 @@ def _header_claim(table: SourceTable, place: str) -> _Claim | None:
         rate = _Claim("header", f"the rate {own:.9g} Hz in the header of {table.file}", own, min(_digits(own), 1e-6))
     if step is not None and rate is not None and not step.agrees(rate):
         raise BenchError(
-            f"{table.file} has two clocks that contradict each other: {_told(step)}, but {_told(rate)}; correct one of "
+            f"{table.file} has two clocks that contradict each other: {_text(step)}, but {_text(rate)}; correct one of "
             f"them in the file, or leave both out and give sample_rate in {place}."
         )
     return rate or step
@@ -226,11 +226,11 @@ def _settled(
         kept = claims[sidecar.clock]
         others = [claim for key, claim in claims.items() if key != kept.key and not claim.agrees(kept)]
         for claim in others:
-            notes.append(f"{_told(claim)} contradicts the sidecar's clock ({_told(kept)}); the first is not used.")
+            notes.append(f"{_text(claim)} contradicts the sidecar's clock ({_text(kept)}); the first is not used.")
         claims = {kept.key: kept}
     elif header is not None and given is not None and not header.agrees(given):
         if column is not None and column.agrees(given):
-            notes.append(f"{_told(header)} contradicts sample_rate and {column.words}, and is not used.")
+            notes.append(f"{_text(header)} contradicts sample_rate and {column.words}, and is not used.")
             claims.pop("header")
         else:
             itself = " itself" if table.step is None else ""
@@ -241,16 +241,16 @@ def _settled(
     elif header is not None and column is not None and not header.agrees(column):
         if given is None:
             raise ClockQuestionError(
-                f"{table.file} has two clocks that contradict each other: {_told(header)}, but {_told(column)}. Which "
+                f"{table.file} has two clocks that contradict each other: {_text(header)}, but {_text(column)}. Which "
                 f"is it? Say 'clock: header' or 'clock: column' in {place}, or give sample_rate.",
                 "clock",
             )
-        notes.append(f"{_told(column)} contradicts sample_rate and {header.words}, and is not used.")
+        notes.append(f"{_text(column)} contradicts sample_rate and {header.words}, and is not used.")
         claims.pop("column")
     return claims.get("sample_rate"), claims.get("header"), claims.get("column")
 
 
-def _told(claim: _Claim) -> str:
+def _text(claim: _Claim) -> str:
     return f"{claim.words} says {claim.rate:.6g} Hz"
 
 

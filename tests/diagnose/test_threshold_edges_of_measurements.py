@@ -379,7 +379,7 @@ def told_modes(log_ratio: float) -> int:
     found = modelled(1.5, 0.0)
     found.see(10.0)
     found.see(10.0 * math.exp(log_ratio))
-    return len(found.sentences)
+    return len(found._lacking)
 
 
 # -- held-out levels --------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@ from setuptools import find_packages, setup
 
 setup(
     name="nmt_report",
-    version="0.3.0",
+    version="0.4.0",
     packages=find_packages(exclude=["test"]),
     package_data={"": ["py.typed", "templates/*"]},
     data_files=[

@@ -196,7 +196,7 @@ def test_the_sentence_keeps_angles_and_slides_apart() -> None:
     replay = Replay("", ("elbow", "wrist", "lift"), (True, True, False), "tool (hand)", 0.01, np.arange(2),
                     np.zeros((2, 60, 3)), by_model, by_model, {})  # fmt: skip
     assert replay.sentence == (
-        "Error (rms) 0.2 and 0.5 s after a measured state, as given: tool (hand) 5 and 5 mm, "
+        "Error (rms) of simulations from measured states after 0.2 and 0.5 s, as given: tool (hand) 5 and 5 mm, "
         "revolute joints 35.4 and 35.4 mrad, sliding joints 2 and 2 mm. "
     )
     early = replace(by_model, lasted=np.array([60, 30]))

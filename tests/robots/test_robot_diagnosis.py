@@ -42,7 +42,7 @@ def test_a_healthy_log_keeps_silent() -> None:
     assert strayed.cause == "not known"
     assert strayed.difference == "not known: the model leaves 50 % of the torque, no cause is claimed"
     assert (
-        "0 of 1 joints differ from the model by a named cause; 1 more differs without"
+        "0 of 1 joints differ from the model with a known cause; 1 more differs without"
         in replace(diagnosis, joints=(strayed,)).verdict
     )
     assert not [finding for finding in diagnosis.findings if finding.fault]

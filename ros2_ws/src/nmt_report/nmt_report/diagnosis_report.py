@@ -194,7 +194,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
             (
                 "Size of the effect",
                 parameters_text(head.parameters),
-                f"{plain(head.sigmas, 1)} times what scatter could do",
+                f"{plain(head.sigmas, 1)} times its standard deviation from scatter",
             )
         )
     if d.verdict is Verdict.UNKNOWN:
@@ -253,7 +253,7 @@ def _ranking(d: Diagnosis) -> Table:
         rows.append((item.probability, Row(cells)))
     rest, p_rest = rest_text(d)
     partial = is_partial(d)
-    unnamed = "an unknown force or error at one of the places, of no form in the library"
+    unnamed = "an unknown force or error that no effect of the library describes"
     for label, title, p, what in (
         (NULL, effect_text(NULL), d.probabilities.get(NULL, 0.0), "the model as it is, its own parameters re-fitted"),
         (UNKNOWN, rest, p_rest, unnamed),
@@ -275,8 +275,8 @@ def _ranking(d: Diagnosis) -> Table:
     )
     note = (
         "All explanations are fitted to the same data with the model’s own parameters free. The probability weighs the "
-        "fit against the number of parameters. Strength: over the standard deviation that scatter of the data alone "
-        "gives it; ± also holds the uncertainty of gains and parameters. Gap closed: share of the residual beyond "
+        "fit against the number of parameters. Strength: over its standard deviation from scatter of the data; ± "
+        "also holds the uncertainty of gains and parameters. Gap closed: share of the residual beyond "
         "noise that the explanation removes from held-out data, with its 90 % interval; negative: it predicts worse "
         "than the model without it. Only the most probable explanations are judged on held-out data."
     )

@@ -46,8 +46,10 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
             named = f"{class_text(head)} ({place_text(head.place, head.detail)})"
             rest = f"{percent(1.0 - closed, 1)} is" if math.isfinite(closed) else "the rest is"
             return f"{named} explains {part} of the gap; {rest} not in the library", "partly"
-        altered = effect_named(head.effect).alters if "+" not in head.effect else False
-        named = f"the model's {class_text(head)} is off" if altered else f"the model lacks {class_text(head)}"
+        alters = effect_named(head.effect).alters if "+" not in head.effect and not head.equivalents else ()
+        named = f"the model lacks {class_text(head)}"
+        if alters and "factor" in head.parameters:
+            named = f"the model is {alters[head.parameters['factor'].value > 1.0]}"
         text = f"{named} ({place_text(head.place, head.detail)})"
         if diagnosis.remainder is not None:
             share = 100.0 * diagnosis.remainder.share

@@ -214,8 +214,8 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
             )
         rows.append(row)
     note = (
-        "Explained: share of the response’s power around the mode that the fit explains. From averages: first poles, "
-        "from Hann-windowed averages; the window adds to their damping. Complexity: ‖Im ψ‖/‖ψ‖."
+        "Explained: share of the response’s power around the mode that the fit explains. From averages: starting "
+        "values, from Hann-windowed averages; the window adds to their damping. Complexity: ‖Im ψ‖/‖ψ‖."
     )
     tables = [text_table(head, rows, note), _shape_table(test)]
     if exact is not None:
@@ -276,7 +276,7 @@ def _input_table(test: LinearTest) -> Table:
         ]
         for row, (exciter, frf) in enumerate(zip(exciters, test.force_frfs, strict=True))
     ]
-    note = f"Force per volt at {test.frequency_hz[line]:.5g} Hz. γ²: mean coherence over the band, partial if several."
+    note = f"Force per volt at {test.frequency_hz[line]:.5g} Hz. γ²: mean coherence, of several forces partial."
     return text_table(head, rows, note)
 
 
@@ -287,7 +287,9 @@ def _mac_table(test: LinearTest) -> Table:
     head = [("MAC", ""), *((f"mode {index + 1}", "") for index in range(len(test.modes)))]
     rows = [[f"mode {index + 1}", *(plain(float(value), 4) for value in row)] for index, row in enumerate(mac)]
     return text_table(
-        head, rows, "Between the identified modes at the response points; with few points other modes are not at 0."
+        head,
+        rows,
+        "Between the identified modes at the response points; with few points off-diagonal values are not near 0.",
     )
 
 
@@ -317,8 +319,9 @@ def _residual_table(test: LinearTest) -> Table:
         for row, name in enumerate(names)
     ]
     note = (
-        f"x/F = modes + lower/(−ω²) + upper. All kept modes: {whole.band_hz[0]:.4g} to {whole.band_hz[1]:.4g} Hz; "
-        f"target alone: {alone.band_hz[0]:.4g} to {alone.band_hz[1]:.4g} Hz."
+        "x/F = modes + lower/(−ω²) + upper. Bands of the fits: "
+        f"all kept modes {whole.band_hz[0]:.4g} to {whole.band_hz[1]:.4g} Hz; "
+        f"target alone {alone.band_hz[0]:.4g} to {alone.band_hz[1]:.4g} Hz."
     )
     return text_table(head, rows, note)
 
@@ -427,7 +430,7 @@ def _target_figure(test: LinearTest) -> ReportFigure:
     bottom.set_ylim(lowest + 45.0, lowest + 315.0)
     top.set_ylabel("receptance (m/N)")
     top.legend(loc="upper right")
-    caption = "Responses from averaged spectra, which the window broadens, and the fit to the record without window."
+    caption = "Measured: averaged spectra, broadened by the window. Fit: to the record without a window."
     title = f"Target mode at point {test.points[row]}"
     return report_figure(figure, "target", title, caption, label="Frequency response around the target mode")
 

@@ -92,7 +92,8 @@ class Effect:
         form: which of several forms of one name it is; empty where they never compete.
         ordinary: standard deviation of the strength in an ordinary measuring chain, where no error of the chain stands
             for it; 0 = one does, or it has no such tolerance.
-        alters: whether it alters a property that the model has; else the model lacks it.
+        alters: what the model is where its property is larger and smaller than the real one, such as too stiff and too
+            soft; empty: the model lacks the effect.
         factor: key of the rig file that multiplies the reference of its sites; empty where none does.
     """
 
@@ -108,7 +109,7 @@ class Effect:
     equivalents: Mapping[str, str] = field(default_factory=dict)
     form: str = ""
     ordinary: float = 0.0
-    alters: bool = False
+    alters: tuple[str, ...] = ()
     factor: tuple[str | int, ...] = ()
 
     def apply(self, rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:

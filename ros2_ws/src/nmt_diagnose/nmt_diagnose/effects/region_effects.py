@@ -104,14 +104,14 @@ REGION_EFFECTS: tuple[Effect, ...] = (
         reference=_UPDATING, keys="structure.regions.NAME.stiffness_factor", parameters=_CHANGE,
         sites=_sites_of("stiffness_n_m", moved=False), change=_with_stiffness,
         report=lambda site, values: {"factor": (exp(values["change"]), "1")},
-        equivalents={"local_mass": "several modes in a random test"}, alters=True,
+        equivalents={"local_mass": "several modes in a random test"}, alters=("too stiff", "too soft"),
     ),
     Effect(
         name="local_mass", place="structure", equation="factor × the model's mass of a region",
         reference=_UPDATING, keys="structure.regions.NAME.mass_factor", parameters=_CHANGE,
         sites=_sites_of("mass_kg", moved=True), change=_with_mass, report=_mass_report,
         factor=("structure", "mass_factor"),
-        equivalents={"local_stiffness": "several modes in a random test"}, alters=True,
+        equivalents={"local_stiffness": "several modes in a random test"}, alters=("too heavy", "too light"),
     ),
 )  # fmt: skip
 SUPPORT_EFFECT = Effect(

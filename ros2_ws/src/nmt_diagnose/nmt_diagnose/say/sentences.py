@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from nmt_core.text.number_words import percent, share_with_interval, significant, value_text
+from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.location import Explanation, effect_words, joined
 from nmt_diagnose.ledger.diagnosis import (
     NULL,
@@ -104,8 +105,9 @@ def sentences(
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     which += place_words(head)
     which += _with_second(ranking)
+    corrected = "+" not in head.effect and bool(effect_named(head.effect).alters)
     far = (
-        _how_far(gap, "Adding it", "with re-fitted parameters alone")
+        _how_far(gap, "Correcting it" if corrected else "Adding it", "with re-fitted parameters alone")
         + f" The model as given leaves {gap.as_given:.2f}."
     )
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
@@ -268,7 +270,7 @@ def _how_far(gap: Gap, what: str, before: str) -> str:
     closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
     interval = f" (90 % interval {limits})" if limits else ""
     return (
-        f"{what} closes {closed} of the gap on data held out from the fit{interval}. Their residual falls from "
+        f"{what} closes {closed} of the gap on data held out from the fit{interval}. Its residual falls from "
         f"{gap.before:.2f} {before} to {gap.after:.2f} standard deviations rms; scatter alone leaves {gap.floor:.2f}."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )

@@ -77,7 +77,7 @@ def _named(diagnosis: RobotDiagnosis) -> str:
     """What differs joint by joint with sizes, or by cause where many joints differ."""
     differing = [joint for joint in diagnosis.joints if joint.differs]
     if not differing:
-        return "No joint differs from the model by a named cause."
+        return "No joint differs from the model with a known cause."
     if len(differing) <= _LISTED:
         return "; ".join(f"{joint.joint.name}: {joint.difference}" for joint in differing) + "."
     causes: dict[str, list[str]] = {}
@@ -115,7 +115,7 @@ def _log(diagnosis: RobotDiagnosis) -> Markup:
         rows.append(("fault" if finding.fault else "note", finding.sentence, size if is_known(finding.size) else "",
                      share, whose))  # fmt: skip
     head = [("", ""), ("finding", ""), ("size", ""), ("share of the residual", ""), ("joints", "")]
-    others = ", or ".join(reading.text() for reading in diagnosis.as_well[1:])
+    others = "; ".join(f"({number}) {reading.text()}" for number, reading in enumerate(diagnosis.as_well[1:], 1))
     note = f"Other timings that fit equally well: {others}." if others else "No other timing fits as well."
     return html_table(head, rows, note)
 
@@ -160,7 +160,9 @@ def _joints(diagnosis: RobotDiagnosis) -> Markup:
         ("torque left", _unit(diagnosis)),
         ("what remains", ""),
     ]
-    return html_table(head, rows, "Closed: share of the residual of the model as given, on held-out seconds.")
+    return html_table(
+        head, rows, "Closed: share of the residual of the model as given that the changes remove, on held-out seconds."
+    )
 
 
 def _joint_row(joint: JointVerdict) -> tuple[str, ...]:
@@ -312,9 +314,9 @@ def _next(diagnosis: RobotDiagnosis) -> Markup:
 def _limits(diagnosis: RobotDiagnosis) -> Markup:
     rows = [
         ("armature or inertia of a link that turns alone", "not separable in any log", "weigh the link"),
-        ("friction that builds up over an angle", "named where slow reversals are many",
+        ("friction that builds up over an angle", "named only with many slow reversals",
          "slow reversals, two amplitudes"),
-        ("torque constant or all of mass, friction and armature scaled", "only beyond their tolerances",
+        ("torque constant, or mass, friction and armature by one factor", "named only beyond their tolerances",
          "a known payload"),
         ("temperature, bands of position, hoses", "no term of the library describes them", "the same motion when warm"),
     ]  # fmt: skip

@@ -138,7 +138,7 @@ class Replay:
                 if np.any(chosen):
                     whose.append((name, [float(np.sqrt(np.mean(joints[chosen] ** 2))) for joints, _ in found], unit))
             parts.append(f"{words}: {', '.join(f'{who} {_sizes(sizes, beyond, unit)}' for who, sizes, unit in whose)}")
-        return f"Error (rms) {spans} s after a measured state, {'; '.join(parts)}. {self.how}"
+        return f"Error (rms) of simulations from measured states after {spans} s, {'; '.join(parts)}. {self.how}"
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
@@ -294,9 +294,9 @@ def replayed(
     words = {name: item.words for name, item in zip(log.joints, changed, strict=True) if item.words}
     if found[0] is not robot or found[1] is not log or words:
         by_changed = predicted(*found, changed)
-    span = f"the last {(len(motion.q) - first) * step:.3g} s, sizes fitted to earlier rows"
+    span = f"the last {(len(motion.q) - first) * step:.3g} s; the changes are fitted to earlier rows"
     read = reading.text() if reading == readings[0] else f"{reading.text()}, which fits as well"
-    what = f"the recorded command through the drives' law ({read})" if driven.is_law else "the measured torque"
+    what = f"the recorded command through the drives' control law ({read})" if driven.is_law else "the measured torque"
     how = f"{len(starts)} windows of {span}. The simulation is driven by {what}"
     how += "; the base stands still." if robot.floating else "."
     models = {"as given": by_model} | ({"as changed": by_changed} if by_changed is not by_model else {})

@@ -211,7 +211,7 @@ class RobotDiagnosis:
         as_given, named = (rms_text(self.left_over(which)) for which in ("unchanged", "left"))
         efforts = "force" if all(not joint.joint.turns for joint in judged) else "torque"
         return (
-            f"{bodies}{differing} of {len(judged)} joints differ from the model by a named cause{unknown}. "
+            f"{bodies}{differing} of {len(judged)} joints differ from the model with a known cause{unknown}. "
             f"On held-out motion the {efforts} is off by {as_given} (rms over the joints) with the model as given, by "
             f"{named} with the changes. {log}"
         )

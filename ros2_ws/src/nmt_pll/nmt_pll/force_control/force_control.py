@@ -10,7 +10,7 @@ from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.records import DriveTerm, LevelCommand
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
-from nmt_core.vocabulary import AUTOMATIC, HarmonicsTarget
+from nmt_core.vocabulary import HarmonicsTarget
 from nmt_pll.detection.phase_detector import AdaptiveFourierFilter
 from nmt_pll.force_control.force_controller import ForceController, ForceSetup, integral_rate, most_harmonics
 from nmt_pll.force_control.force_per_volt import ForcePerVolt, fundamental_gain, start_ratios, table_of
@@ -18,7 +18,6 @@ from nmt_pll.force_control.force_targets import ForceTargets
 from nmt_pll.force_control.modal_power_ratio import ModalPowerRatio, check_modes
 from nmt_pll.force_control.mode_shape_targets import ModeShapeTargets, check_exciters
 from nmt_pll.loop_settings import LoopSettings
-from nmt_pll.thresholds import HARMONICS
 
 
 class ForceControl:
@@ -75,7 +74,6 @@ class ForceControl:
 
     def highest(self, wanted: int) -> int:
         """Highest harmonic that can be controlled where so many are asked for."""
-        wanted = HARMONICS.automatic_highest if wanted == AUTOMATIC else wanted
         return most_harmonics(self._highest_hz, self._sample_rate, self._cutoff, wanted)
 
     def check(self, level: LevelCommand) -> None:

@@ -37,6 +37,7 @@ import numpy as np
 
 from nmt_core.messages.records import DriveTerm
 from nmt_core.numerics.arrays import ComplexArray, FloatArray
+from nmt_core.vocabulary import AUTOMATIC
 from nmt_pll.force_control.deviation_record import FEWEST_BLOCKS, DeviationRecord
 from nmt_pll.force_control.force_per_volt import ForcePerVolt
 from nmt_pll.force_control.gain_estimate import GainEstimate, applied, solved
@@ -55,17 +56,16 @@ def integral_rate(cutoff: float, dead_time: float, margin: float = HARMONICS.pha
     return margin / (1.0 / cutoff + dead_time)
 
 
-def most_harmonics(
-    frequency_hz: float, sample_rate: float, cutoff: float, wanted: int = HARMONICS.automatic_highest
-) -> int:
+def most_harmonics(frequency_hz: float, sample_rate: float, cutoff: float, wanted: int = AUTOMATIC) -> int:
     """Highest harmonic, at most ``wanted``, that stays below half the sample rate and that the filter can track.
 
     Args:
         frequency_hz: highest frequency of the fundamental.
         sample_rate: Hz.
         cutoff: ω_LP of the adaptive filter, rad/s.
-        wanted: number asked for.
+        wanted: number asked for, or ``AUTOMATIC``.
     """
+    wanted = HARMONICS.automatic_highest if wanted == AUTOMATIC else wanted
     below_nyquist = math.ceil(0.5 * sample_rate / frequency_hz) - 1
     tracked = math.ceil(sample_rate / (2.0 * cutoff) - 0.5) - 2  # the filter has one harmonic more
     return max(1, min(wanted, below_nyquist, tracked))

@@ -14,8 +14,8 @@ def spring(sigmas: float) -> Recalibrated:
     return Recalibrated("structure.springs_n_m.0", 210.0, 218.0, 8.0 / sigmas, "N/m", 0.05, sigmas)
 
 
-def said(verdict: Verdict, *calibration: Recalibrated) -> str:
-    head = Ranked("cubic_stiffness", "structure", "1", 0.99, (), {}, Share(0.94, 0.92, 0.96), 30.0)
+def said(verdict: Verdict, *calibration: Recalibrated, effect: str = "cubic_stiffness") -> str:
+    head = Ranked(effect, "structure", "1", 0.99, (), {}, Share(0.94, 0.92, 0.96), 30.0)
     where, ranking = (PlaceShare("structure", "1", 1.0, 1.0),), (head,)
     return " ".join(sentences(verdict, where, ranking, None, GAP, (), calibration))
 
@@ -30,6 +30,12 @@ def test_no_gap_names_parameters_that_moved_by_many_of_their_uncertainties() -> 
 def test_an_effect_is_told_beside_the_model_as_it_was_given() -> None:
     assert "from 86.37 with re-fitted parameters alone to 5.20" in said(Verdict.EFFECT)
     assert "The model as given leaves 57.66." in said(Verdict.EFFECT)
+
+
+def test_what_the_model_has_is_corrected_and_what_it_lacks_is_added() -> None:
+    assert "Adding it closes" in said(Verdict.EFFECT)
+    assert "Correcting it closes" in said(Verdict.EFFECT, effect="local_stiffness")
+    assert "Adding it closes" in said(Verdict.EFFECT, effect="local_stiffness + added_mass")
 
 
 def test_parameters_that_predict_worse_close_no_share_of_a_gap() -> None:

@@ -133,3 +133,22 @@ def test_what_stands_beside_a_partial_explanation_has_no_share_of_its_own() -> N
 
 def test_there_are_fifty_cases() -> None:
     assert len(CASES) >= 50
+
+
+@pytest.mark.parametrize(
+    ("effect", "factor", "words"),
+    [
+        ("local_stiffness", 0.7, "the model is too stiff (the structure, point 7)"),
+        ("local_stiffness", 1.3, "the model is too soft (the structure, point 7)"),
+        ("local_mass", 0.7, "the model is too heavy (the structure, point 7)"),
+        ("local_mass", 1.3, "the model is too light (the structure, point 7)"),
+    ],
+)
+def test_a_region_is_off_to_the_side_of_its_factor(effect: str, factor: float, words: str) -> None:
+    found = made(Verdict.EFFECT, True, effect, 0.99)
+    (head,) = found.ranking
+    head = replace(head, parameters={"factor": Value(factor, 0.01, "1")})
+    assert verdict_text(replace(found, ranking=(head,)))[0] == words
+    # Where stiffness and mass cannot be told apart neither side is known.
+    either = replace(head, equivalents=("local_mass" if effect == "local_stiffness" else "local_stiffness",))
+    assert verdict_text(replace(found, ranking=(either,)))[0].startswith("the model lacks")

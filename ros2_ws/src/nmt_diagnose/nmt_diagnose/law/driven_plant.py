@@ -320,8 +320,8 @@ def _smoothed(
     surprises: FloatArray,
 ) -> FloatArray:
     """States (samples, d) by all samples: the surprises of later ones come back by the filter's transpose."""
-    told = (surprises @ inverse @ c)[::-1]
-    return np.asarray(predicted + _recursion((a - a @ gain @ c).T, told[1:], told[0])[::-1] @ p)
+    weighted = (surprises @ inverse @ c)[::-1]
+    return np.asarray(predicted + _recursion((a - a @ gain @ c).T, weighted[1:], weighted[0])[::-1] @ p)
 
 
 @njit(cache=True)

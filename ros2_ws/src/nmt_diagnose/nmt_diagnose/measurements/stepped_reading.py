@@ -468,7 +468,7 @@ def scatter_of_lines(frequency: FloatArray, response: ComplexArray, phase_known:
     parts = np.abs(np.stack([distance.real, distance.imag]) if phase_known else distance.real[None])
 
     def fitted(ratio: float) -> tuple[float, float]:
-        """Relative noise beside a common one in a ratio, and minus the log likelihood (Student, heavy tails)."""
+        """Relative noise of single lines, for its ratio to a common one, and minus the log likelihood (Student)."""
         scale = np.sqrt(shares[0] + ratio**2 * shares[1])
         whitened = (parts / scale) ** 2
         square = float(np.median(whitened))

@@ -88,8 +88,8 @@ def too_small_row(
         return None
     explanation = small.fitted
     least = small.fit.log_evidence + math.log(THRESHOLDS.verdict.as_likely_share)
-    near = [explanation for explanation in named if not explanation.stated and explanation.fit.log_evidence > least]
-    effects = {explanation.fitted.effects for explanation in (small, *near)}
+    near = [other for other in named if not other.stated and other.fit.log_evidence > least]
+    effects = {other.fitted.effects for other in (small, *near)}
     # An explanation that only adds an effect to one that they cannot distinguish from it says nothing new.
     alike = [
         names

@@ -171,6 +171,7 @@ def test_json_is_one_document_on_standard_output(capsys: pytest.CaptureFixture[s
     assert document["files"] == sorted(path.name for path in out.iterdir())
     assert document["results"] == json.loads((out / "modal.json").read_text())
     assert "Modal properties" in err
+    assert "± does not include the error of single-point excitation" in err
     status, text, err = run(capsys, "extract", str(tmp_path / "none"), "--json")
     refusal = json.loads(text)
     assert status == refusal["exit_code"] == 2

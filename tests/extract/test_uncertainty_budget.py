@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -106,6 +107,9 @@ def test_shapes_clock_and_method() -> None:
     assert part(UncertaintySource.METHOD, "omega_rad_s", inputs) == pytest.approx(1e-4)
     assert part(UncertaintySource.METHOD, "damping_ratio", inputs) == pytest.approx(0.01 + 0.02 / 3.0)
     assert not list(left_out(inputs))
+    assert [sentence.split(";")[0] for sentence in left_out(replace(inputs, method=None))] == [
+        "± does not include the error of single-point excitation"
+    ]
 
 
 def test_repeats_count_beyond_the_noise() -> None:

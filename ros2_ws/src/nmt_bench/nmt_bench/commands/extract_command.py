@@ -109,7 +109,7 @@ def run(options: ExtractOptions) -> int:
     for sentence in (result.loss, _lack_of_run(bag)):
         if sentence:
             console.print(sentence, style="yellow")
-    print_modal_table(result.points, reference, console, budgets)
+    print_modal_table(result.points, reference, console, budgets, known)
     if linear is None and settings is None:
         from nmt_core.messages.wire import MODAL_POINT
 

@@ -582,7 +582,7 @@ def _print_table(result: RunResult, bench: Bench, found: Evaluation, console: An
     from nmt_extract.curves.response_curve import curve_sentences, is_of_curve, response_curves
 
     if result.points:
-        print_modal_table(result.points, found.reference, console, found.budgets[0] if found.budgets else ())
+        print_modal_table(result.points, found.reference, console, *(found.budgets or ()))
     if result.code != ResultCode.SUCCEEDED:
         console.print(result.message, style="yellow")
     if result.bench_time > 0:

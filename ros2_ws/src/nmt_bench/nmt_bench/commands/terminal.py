@@ -13,6 +13,7 @@ from rich.text import Text
 
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.curves.limit_cycles import feeds_its_motion, limit_cycles
+from nmt_extract.judgement.uncertainty_budget import BudgetInputs, left_out
 from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.quantity_format import concise, plain, significant, uncertain
@@ -106,12 +107,15 @@ def print_modal_table(
     reference: ReferenceCurve | None,
     console: Console,
     budgets: Sequence[PointBudget] = (),
+    inputs: BudgetInputs | None = None,
 ) -> None:
-    """Print :func:`modal_table`, and below it why levels gave no result, or one without some channel."""
+    """Print :func:`modal_table`, and below it what ± leaves out and why levels gave no result, or lack a channel."""
     if not points:
         console.print("No modal point.")
         return
     console.print(modal_table(points, reference, console.width, budgets))
+    for sentence in () if inputs is None else left_out(inputs):
+        console.print(Text(sentence, style="dim"))
     for cycle in limit_cycles(with_budgets(points, budgets)):
         kind = "Stable" if cycle.stable else "Unstable"
         q = uncertain(cycle.modal_amplitude, cycle.modal_amplitude_std)

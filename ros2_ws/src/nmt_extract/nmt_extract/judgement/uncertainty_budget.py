@@ -401,9 +401,9 @@ def read_totals(path: Path | str) -> dict[int, dict[str, float]]:
 def left_out(inputs: BudgetInputs) -> Iterator[str]:
     """Sentences on sources that the budget does not know."""
     if inputs.linear.source == "test" and not inputs.linear.shape_stds:
-        yield "The uncertainty of the linear shapes is not known: the bag was recorded without it."
+        yield "± does not include the uncertainty of the linear shapes: the bag was recorded without it."
     if inputs.method is None:
-        yield "The error of single-point excitation is not known; a run of a model with its reference shows it."
+        yield "± does not include the error of single-point excitation; './nmt extract --model-run DIR' adds it."
 
 
 def channel_tolerances_used(inputs: BudgetInputs) -> list[tuple[str, float, float, str]]:

@@ -45,15 +45,14 @@ from nmt_pll.force_control.held_voltages import HeldVoltages
 from nmt_pll.thresholds import HARMONICS
 
 
-def integral_rate(cutoff: float, dead_time: float, margin: float = HARMONICS.phase_margin_rad) -> float:
+def integral_rate(cutoff: float, dead_time: float) -> float:
     """κ = m/(1/ω_LP + T) in 1/s: phase margin at least π/2 − m, gain margin at least π/(2 m).
 
     Args:
         cutoff: ω_LP of the adaptive filter, rad/s.
         dead_time: T, mean delay between measurement and its effect, s.
-        margin: m, rad.
     """
-    return margin / (1.0 / cutoff + dead_time)
+    return HARMONICS.phase_margin_rad / (1.0 / cutoff + dead_time)
 
 
 def most_harmonics(frequency_hz: float, sample_rate: float, cutoff: float, wanted: int = AUTOMATIC) -> int:

@@ -220,7 +220,7 @@ def test_phases_are_compared_over_the_cut() -> None:
     turned = models.as_given.copy()
     turned[mine] = observations.values[mine] + 0.01 - 2.0 * math.pi
     course = courses(observations, replace(models, as_given=turned), 0, Part.PHASE)[1]
-    np.testing.assert_allclose(course.deviations[0], math.degrees(0.01), rtol=1e-9)
+    np.testing.assert_allclose(course.deviations[0], -math.degrees(0.01), rtol=1e-9)
     np.testing.assert_allclose(course.given - course.measured, math.degrees(0.01), rtol=1e-9)
 
 

@@ -282,7 +282,7 @@ def test_the_whole_budget_is_what_stands_behind_plus_minus() -> None:
     html = report_html(data)
     shown = plain(100 * first.damping_ratio, 4)
     assert f"<td>{shown} <i>± 0.0050</i></td>" in html
-    assert "Bars: standard uncertainty (budget)." in html
+    assert "Bars: combined standard uncertainty." in html
     assert "Bars: repeatability." in html
 
 

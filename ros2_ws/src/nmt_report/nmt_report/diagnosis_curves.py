@@ -40,7 +40,7 @@ class Course:
         measured, sigma: measured values and their standard deviation, (k,).
         given, refitted, final: values of the three models, (k,).
         deviation_unit: of the deviations.
-        deviations: model − measured of the three models and the standard deviation, in ``deviation_unit``, (4, k).
+        deviations: measured − model of the three models and the standard deviation, in ``deviation_unit``, (4, k).
         logarithmic: whether the values are shown on a logarithmic axis.
         joined: whether neighbours are close enough for a line between them.
         exponent: power of ten in ``unit``.
@@ -152,12 +152,12 @@ def _course(observations: Observations, models: Models, test: int, which: np.nda
     facts = part.facts
     unit_of_channel = own.unit if own is not None else ""
     unit, deviation_unit = facts.axis or unit_of_channel, facts.unit or unit_of_channel
-    differences = np.array([values - measured for values in computed] + [sigma])
+    differences = np.array([measured - values for values in computed] + [sigma])
     if facts.angle:
         deviation_unit = unit
         differences[:3] -= np.round(differences[:3] / _TAU) * _TAU
         measured = facts.drawn(measured)
-        computed = [measured + np.degrees(row) for row in differences[:3]]
+        computed = [measured - np.degrees(row) for row in differences[:3]]
     else:
         measured, *computed = (facts.drawn(values) for values in (measured, *computed))
     if facts.logarithmic:

@@ -176,7 +176,7 @@ def course_figure(
     shown: Shown,
     tests: Sequence[str] = (),
 ) -> ReportFigure:
-    """Small multiples: above the values, below model − measured with the measurement's ±2 standard deviations.
+    """Small multiples: above the values, below measured − model with the measurement's ±2 standard deviations.
 
     Args:
         name: anchor.

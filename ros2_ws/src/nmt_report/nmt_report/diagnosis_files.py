@@ -53,7 +53,9 @@ def write_diagnosis(
     except BenchError as error:
         remark = f"There is no model.yaml: the fitted values are no rig ({error})"
     write_whole(folder / "observables.csv", observables_csv(outcome.observations, models))
-    write_whole(folder / "report.html", diagnosis_page(replace(drawn(outcome), diagnosis=diagnosis)))
+    write_whole(
+        folder / "report.html", diagnosis_page(replace(drawn(outcome), diagnosis=diagnosis, has_model=not remark))
+    )
     return remark
 
 

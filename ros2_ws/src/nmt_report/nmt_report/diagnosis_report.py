@@ -51,6 +51,7 @@ from nmt_rig.rig import Rig
 
 _LEFT_OVER = 0.01
 _LARGE = 1.5
+_CORRECTED = ("Corrected model", "It is model.yaml, next to this page.")
 _WINNERS = ((Verdict.NONE, NULL), (Verdict.CALIBRATION, NULL), (Verdict.UNKNOWN, UNKNOWN))
 
 
@@ -63,12 +64,14 @@ class DiagnosisReport:
         observations: the real side.
         models: observables of the models.
         rig: the model as given.
+        has_model: whether ``model.yaml`` lies next to the page.
     """
 
     diagnosis: Diagnosis
     observations: Observations
     models: Models
     rig: Rig
+    has_model: bool = False
 
     @property
     def with_effect(self) -> bool:
@@ -88,12 +91,13 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         drawing = place_drawing(d, report.rig)
         stated = d.law if d.law is not None and d.law.is_stated else None
         laws = law_figures(stated) if stated is not None else []
+    claimed = d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
     page = ResponsePage(
         kicker="Diagnosis of the gap between model and rig",
         heading=report.rig.name,
         subtitle=report.rig.description,
         verdict=_verdict(d),
-        answers=answered(d),
+        answers=answered(d) + ([_CORRECTED] if report.has_model and claimed else []),
         cards=_cards(d),
         notices=d.warnings,
         notes=d.notes,
@@ -102,7 +106,6 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         "own parameters adjusted to these tests within what is known of them beforehand; with the effect: re-fitted "
         "with the effect added. SI units.",
     )
-    claimed = d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION)
     return page.html(
         "diagnosis_report.html",
         drawing=[drawing],
@@ -194,7 +197,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
             (
                 "Size of the effect",
                 parameters_text(head.parameters),
-                f"{plain(head.sigmas, 1)} times its standard deviation from scatter",
+                "± standard uncertainty",
             )
         )
     if d.verdict is Verdict.UNKNOWN:
@@ -433,13 +436,13 @@ def _calibration(d: Diagnosis, rig: Rig) -> Table | None:
         PageColumn("To", "± standard uncertainty"),
         PageColumn("Change", "%"),
         PageColumn("Prior uncertainty", "%"),
-        PageColumn("Learnt from these tests", kind="text"),
+        PageColumn("Variance removed by the tests", kind="text"),
         PageColumn("Change", "over ±"),
     )
     which = "with the effect in the model" if d.verdict is Verdict.EFFECT else "without any effect"
     note = (
-        f"Re-fitted {which}. Learnt: share of the prior variance that the tests remove. An empty bar: the tests do not "
-        "determine the parameter, and it keeps its value."
+        f"Re-fitted {which}. An empty bar: the tests remove none of the prior variance, and the parameter keeps its "
+        "value."
     )
     return Table(head, rows, note)
 
@@ -518,7 +521,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
         for test in inputs.get("tests", ())
     ]
     if tests:
-        names = ("Kind", "Driven at", "Levels or lines", "Observables")
+        names = ("Kind", "Driven at", "Levels or frequency lines", "Values")
         columns = (PageColumn("Test found", kind="text"), *(PageColumn(name) for name in names))
         tables.append(Table(columns, [Row(cells) for cells in tests], heading="Tests found in them"))
     if d.visible:
@@ -527,7 +530,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
         ]
         columns = (
             PageColumn("Effect", kind="text"), PageColumn("Where it would show first", kind="text wrap"),
-            PageColumn("From", "five standard deviations", "text wrap"),
+            PageColumn("Smallest size", "five standard deviations", "text wrap"),
         )  # fmt: skip
         rows = [Row(cells) for cells in weakest]
         tables.append(Table(columns, rows, heading="Smallest effects that these recordings would show"))
@@ -567,7 +570,7 @@ def _candidates(d: Diagnosis) -> Table | None:
         PageColumn("Explanation", kind="text"),
         PageColumn("Place"),
         PageColumn("ln evidence", "over no effect"),
-        PageColumn("χ²"),
+        PageColumn("χ²", "all data"),
         PageColumn("Values"),
         PageColumn("Parameters", "added"),
         PageColumn("Strength", "over its scatter"),
@@ -580,7 +583,7 @@ def _candidates(d: Diagnosis) -> Table | None:
 # -- curves -----------------------------------------------------------------------------------------------------------
 
 _BELOW = (
-    "Above: values. Below: difference, model − measured, with ± 2 standard deviations of the measurement in grey; "
+    "Above: values. Below: difference, measured − model, with ± 2 standard deviations of the measurement in grey; "
     "where one model is far off, the scale is logarithmic beyond a few standard deviations."
 )
 

@@ -147,7 +147,7 @@ def visible_table(diagnosis: Diagnosis) -> Table | None:
     if not diagnosis.visible:
         return None
     table = _new("Smallest effects that these recordings would show")
-    for head in ("effect", "where it would show first", "from"):
+    for head in ("effect", "where it would show first", "smallest size"):
         table.add_column(head, overflow="fold")
     for item in diagnosis.visible:
         table.add_row(

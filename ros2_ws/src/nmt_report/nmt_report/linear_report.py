@@ -17,6 +17,7 @@ from nmt_extract.linear.file import synthesis_correlation
 from nmt_extract.linear.residuals import modal_receptance
 from nmt_extract.linear.results import LinearMode, LinearTest
 from nmt_extract.modal.quantities import estimated_mass
+from nmt_record.exchange.sidecar.channel_tolerances import is_simulated
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.html_page import Table
 from nmt_report.quantity_format import duration, plain, significant, uncertain
@@ -114,7 +115,7 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
         plant = test.plant
         cards.append(
             (
-                "Target mode with exciter",
+                "Target mode, exciter attached",
                 f"{plain(plant.frequency_hz, 3)} Hz",
                 f"{plain(100 * plant.damping_ratio, 3)} %",
             )
@@ -132,7 +133,7 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
     page = ResponsePage(
         kicker="Linear modal test",
         heading=name,
-        subtitle=rig.description if rig is not None else "",
+        subtitle="" if rig is None else ("Simulated rig: " if is_simulated(result.run) else "") + rig.description,
         verdict=(text, kind),
         cards=cards,
         facts=facts,
@@ -228,7 +229,7 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
             ("1 − MAC", ""),
             ("Δscale", "%"),
         ]
-        note = "Nearest modes of the rig’s model without slip, for comparison; the identification does not use them."
+        note = "Compared with the linear modes of the rig’s model (joints stick); the identification does not use them."
         tables.append(text_table(head, errors_rows, note))
     return tables + _plant_tables(test)
 
@@ -276,7 +277,7 @@ def _input_table(test: LinearTest) -> Table:
         ]
         for row, (exciter, frf) in enumerate(zip(exciters, test.force_frfs, strict=True))
     ]
-    note = f"Force per volt at {test.frequency_hz[line]:.5g} Hz. γ²: mean coherence, of several forces partial."
+    note = f"Force per volt at {test.frequency_hz[line]:.5g} Hz. γ²: mean coherence, partial with several forces."
     return text_table(head, rows, note)
 
 
@@ -300,7 +301,7 @@ def _residual_table(test: LinearTest) -> Table:
         ("Upper", "m/N"),
         ("Lower, target alone", "1/kg"),
         ("Upper, target alone", "m/N"),
-        ("Correlation with the synthesis", ""),
+        ("Correlation, measured and synthesised", ""),
     ]
     correlation = synthesis_correlation(test)
     whole, alone = test.residuals, test.target_residuals
@@ -337,7 +338,7 @@ def _mass_table(test: LinearTest) -> Table:
         [f"point {point}", *(significant(float(value), 4) for value in row)]
         for point, row in zip(test.points, estimated_mass(test.shapes), strict=True)
     ]
-    return text_table(head, rows, "(Φᵀ)⁺ Φ⁺ of the kept modes; its rank is their number.")
+    return text_table(head, rows, "Mass matrix by the kept modes, (Φᵀ)⁺ Φ⁺; its rank is the number of modes.")
 
 
 # -- figures ----------------------------------------------------------------------------------------------------------
@@ -505,6 +506,6 @@ def _shape_figure(test: LinearTest) -> ReportFigure:
         if index == 0:
             axes.set_ylabel("Im ψ (1/√kg)")
     figure.subplots_adjust(left=0.1, right=0.98, bottom=0.13, top=0.92, wspace=0.3)
-    caption = "Proportional damping gives shapes on the real axis. Loop and extraction use the real part."
+    caption = "Proportional damping gives shapes on the real axis. The loop and the extraction use the real part only."
     label = "Complex shapes at the response points"
     return report_figure(figure, "complexity", "Shapes in the complex plane", caption, label=label)

@@ -18,6 +18,7 @@ from nmt_extract.judgement.uncertainty_budget import UncertaintySource, channel_
 from nmt_extract.modal.harmonics_indicators import any_control, indicators
 from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_plant.real_time import read_histogram
+from nmt_record.exchange.sidecar.channel_tolerances import is_simulated
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.exciter_table import exciter_fact, exciter_table
 from nmt_report.html_page import PageColumn, Row, Table, render
@@ -47,7 +48,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         "run_report.html",
         title=f"{run_name(data)}: nonlinear modal test",
         name=run_name(data),
-        description=str(description) if description else "",
+        description=("Simulated rig: " if is_simulated(data.run) else "") + str(description) if description else "",
         result=run_verdict(data.points, len(data.run.get("plan", {}).get("levels", ())), data.linear),
         faults=_faults(data),
         remarks=_remarks(data),
@@ -313,6 +314,11 @@ def _budget_notes(data: RunReportData) -> list[str]:
         if gain or phase:
             turned = significant(math.degrees(phase), 2)
             notes.append(f"{channel}: gain ± {significant(100 * gain, 2)} %, phase ± {turned}° ({source}).")
+    if data.budget_inputs.method is not None:
+        notes.append(
+            "Single-point excitation: deviation of a simulated run of the rig, this one or that of --model-run, "
+            "from its reference at the same modal amplitude."
+        )
     return [*notes, *left_out(data.budget_inputs)]
 
 

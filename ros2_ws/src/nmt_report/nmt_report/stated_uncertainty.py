@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from nmt_core.messages.modal_point import ModalPoint
     from nmt_extract.judgement.uncertainty_budget import PointBudget
 
-BUDGET, REPEATABILITY = "standard uncertainty (budget)", "repeatability"
+BUDGET, REPEATABILITY = "combined standard uncertainty", "repeatability"
 
 
 def with_budgets(points: Sequence[ModalPoint], budgets: Sequence[PointBudget]) -> list[ModalPoint]:

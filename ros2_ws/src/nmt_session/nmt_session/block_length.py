@@ -92,8 +92,8 @@ def choose_block(
             chosen, cost = length, share
     bandwidth, allowed = wanted_bandwidth(linear, settings), allowed_bandwidth(settings, chosen)
     reason = (
-        f"for the mode at {frequency:.4g} Hz the loop should have a bandwidth of {bandwidth:.3g} rad/s; its dead time "
-        f"of {PHASE.dead_time_blocks:g} blocks allows {allowed:.3g} rad/s"
+        f"for the mode at {frequency:.4g} Hz a loop without dead time would have a bandwidth of {bandwidth:.3g} rad/s; "
+        f"the dead time of {PHASE.dead_time_blocks:g} blocks limits it to {allowed:.3g} rad/s"
     )
     if chosen > USUAL:
         reason += f"; compared with blocks of {1e3 * USUAL:g} ms a level takes {100.0 * cost:.1f} % longer"

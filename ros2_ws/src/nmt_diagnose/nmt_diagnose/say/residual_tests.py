@@ -160,5 +160,6 @@ def _neighbours(
         if count > 10:
             z = total / np.sqrt(count)
             name = channel_name(observations, number, int(channel))
-            result.append(ResidualTest("correlation of neighbouring lines", name, z, 0, float(ndtr(-z))))
+            where = f"{observations.tests[number].name}, {name}" if len(observations.tests) > 1 else name
+            result.append(ResidualTest("correlation of neighbouring lines", where, z, 0, float(ndtr(-z))))
     return result

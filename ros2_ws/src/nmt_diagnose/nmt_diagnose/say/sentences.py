@@ -80,7 +80,7 @@ def sentences(
             "The gap lies in parameters that the model already has.",
             f"{small or 'No unmodelled effect is needed.'} {_common_factor(calibration)}The parameters that moved most "
             f"relative to their uncertainty: {_farthest(calibration)}.",
-            _how_far(gap, "Re-fitting them", "as given"),
+            _how_far(gap, "Re-fitting them", f"{gap.before:.2f} with the model as given"),
         )
     place = where_words(where)
     if verdict is Verdict.UNKNOWN:
@@ -106,10 +106,9 @@ def sentences(
     which += place_words(head)
     which += _with_second(ranking)
     corrected = "+" not in head.effect and bool(effect_named(head.effect).alters)
-    far = (
-        _how_far(gap, "Correcting it" if corrected else "Adding it", "with re-fitted parameters alone")
-        + f" The model as given leaves {gap.as_given:.2f}."
-    )
+    worse = " (which predicts worse)" if gap.before > gap.as_given else ""
+    before = f"{gap.as_given:.2f} with the model as given, {gap.before:.2f} with its parameters re-fitted{worse}"
+    far = _how_far(gap, "Correcting it" if corrected else "Adding it", before)
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
 
 
@@ -270,8 +269,8 @@ def _how_far(gap: Gap, what: str, before: str) -> str:
     closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
     interval = f" (90 % interval {limits})" if limits else ""
     return (
-        f"{what} closes {closed} of the gap on data held out from the fit{interval}. Its residual falls from "
-        f"{gap.before:.2f} {before} to {gap.after:.2f} standard deviations rms; scatter alone leaves {gap.floor:.2f}."
+        f"{what} closes {closed} of the gap on data held out from the fit{interval}. The residual there, in standard "
+        f"deviations rms: {before}, {gap.after:.2f} after it; scatter alone leaves {gap.floor:.2f}."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 

@@ -230,7 +230,7 @@ def _singles(
         and modes.far_from(rig)
         and modes.exceed_priors(null.fit.parametrisation, null.fit.theta)
     ):
-        search.tell("bringing the modes of explanations to the measured ones")
+        search.tell("matching modes of explanations to the measured modes")
         singles = best_of([*singles, *search.from_modes(modes)])
     return singles
 

@@ -51,7 +51,7 @@ def with_laws(search: Search, null: FittedExplanation, reading: LawReading | Non
         groups = [[late], *([*group, late] for group in groups)]
     if not groups:
         return []
-    search.tell("fitting the laws that were read")
+    search.tell("fitting force laws estimated from the data")
     fitted = [one for group in groups if (one := _fitted(search, null, group)) is not None]
     return best_of(fitted)
 

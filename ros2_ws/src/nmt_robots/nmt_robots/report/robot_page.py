@@ -56,7 +56,7 @@ def robot_page(diagnosis: RobotDiagnosis) -> str:
             *([("file", "The robot's file", _file(diagnosis))] if diagnosis.of_file else []),
         ],
         footer="Torque left: rms on held-out seconds. ± is a standard uncertainty; it covers all timings of the log "
-        "that fit equally well. Nothing is claimed below 3 % of a joint's torque. SI units.",
+        "that fit equally well. No cause is named that takes less than 3 % of a joint's torque. SI units.",
     )
     return page.html()
 
@@ -70,6 +70,10 @@ def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     read = f"Timing: {diagnosis.reading.text()}."
     more = [f"{len(faults) - _FAULTS} more faults are below."] if len(faults) > _FAULTS else []
     rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["No fault was found."]), *more, read])))
+    name = diagnosis.model.path.with_stem("robot").name
+    rows.append(
+        ("Files", f"{name} holds the changed values, changes.csv lists them; trajectory.csv is the next motion.")
+    )
     return rows
 
 
@@ -95,7 +99,7 @@ def _unit(diagnosis: RobotDiagnosis) -> str:
 def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
     values = {name: rms_text(diagnosis.left_over(name)) for name in ("torque", "unchanged", "left")}
     return [
-        ("Torque", values["torque"], "rms over the joints"),
+        ("Torque", values["torque"], f"rms over the joints{', computed' if diagnosis.log.is_arithmetic else ''}"),
         ("Left by the model as given", values["unchanged"], "held-out seconds"),
         ("Left by the changed model", values["left"], "held-out seconds"),
     ]
@@ -180,13 +184,13 @@ def _held_out(diagnosis: RobotDiagnosis) -> Markup:
         for joint in diagnosis.joints
         if joint.mechanics is not None
     ]
-    names = ("torque", "model as given", "plain fit, log as it is", "plain fit", "all terms", "plain fit, last part",
+    names = ("torque", "model as given", "basic fit, log as recorded", "basic fit", "all terms", "basic fit, last part",
              "all terms, last part")  # fmt: skip
     head = [("joint", ""), *((name, _unit(diagnosis)) for name in names)]
     return html_table(
         head,
         rows,
-        "Plain fit: Coulomb and viscous friction, armature and an offset. Last part: fitted to the first 70 % of the "
+        "Basic fit: Coulomb and viscous friction, armature and an offset. Last part: fitted to the first 70 % of the "
         "rows, judged by the others.",
     )
 
@@ -297,7 +301,7 @@ def _terms(diagnosis: RobotDiagnosis) -> Markup:
         for term in joint.terms
     ]
     head = [("joint", ""), ("term", ""), ("value", ""), ("in the model", ""), ("difference, of the torque", ""),
-            ("hardly distinguishable from", "")]  # fmt: skip
+            ("fits almost as well", "")]  # fmt: skip
     return html_table(head, rows)
 
 
@@ -316,9 +320,10 @@ def _limits(diagnosis: RobotDiagnosis) -> Markup:
         ("armature or inertia of a link that turns alone", "not separable in any log", "weigh the link"),
         ("friction that builds up over an angle", "named only with many slow reversals",
          "slow reversals, two amplitudes"),
-        ("torque constant, or mass, friction and armature by one factor", "named only beyond their tolerances",
+        ("torque constant, or mass, friction and armature scaled alike", "named only beyond their tolerances",
          "a known payload"),
-        ("temperature, bands of position, hoses", "no term of the library describes them", "the same motion when warm"),
+        ("effects of temperature, friction that depends on position, drag of hoses",
+         "no term of the library describes them", "the same motion when warm"),
     ]  # fmt: skip
     if diagnosis.log.is_arithmetic:
         rows.insert(1, ("velocity gain or viscous friction", "not separable where the torque is computed",

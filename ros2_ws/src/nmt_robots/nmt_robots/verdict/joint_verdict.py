@@ -37,7 +37,7 @@ class JointTerm:
         in_model: what the model has of it.
         share: of the joint's torque that the difference to the model takes, rms over rms.
         differs: whether the difference is certain, beyond the model's tolerance, and large enough to matter.
-        alike: causes that are hardly distinguishable from it.
+        alike: causes that would fit almost as well.
         equal: those of them that no fit of such a log parts from this one.
         impossible: coefficient that would have been negative and may not be; zero elsewhere.
         probability: posterior probability that its cause is there, with the other causes that were asked.
@@ -75,7 +75,7 @@ class JointTerm:
             return f"{self.brief} ({percent(self.share)} of its torque)"
         model = f" (model {self.in_model:.3g})" if self.in_model else ""
         alike = [words for words in self.alike if words not in self.equal][:_MOST_ALIKE]
-        also = f"; hardly distinguishable from {', '.join(alike)}" if alike else ""
+        also = f"; {', '.join(alike)} would fit almost as well" if alike else ""
         return f"{self.name} {value_text(self.value, self.std, self.unit)}{model}{also}"
 
     def to_mapping(self) -> dict[str, Any]:

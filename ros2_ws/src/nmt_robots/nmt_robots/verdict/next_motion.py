@@ -171,7 +171,7 @@ def _wanted(
         "without inertia, friction shows its dependence on speed, angle and load")  # fmt: skip
     if len({(reading.command_lag_s, reading.torque_lag_s) for reading in as_well}) > 1:
         movers = [joint.name for number, joint in enumerate(joints) if motion.moves[number]]
-        ask("chirp", movers, "delay and damping can be separated only where the position deviates from the command")
+        ask("chirp", movers, "it separates the drive's delay from damping: several delays fit this log")
     ask("out_of_phase", _in_phase(motion, joints), "they moved in phase, so their torques cannot be separated")
     if not found:
         ask(

@@ -297,7 +297,7 @@ def replayed(
     span = f"the last {(len(motion.q) - first) * step:.3g} s; the changes are fitted to earlier rows"
     read = reading.text() if reading == readings[0] else f"{reading.text()}, which fits as well"
     what = f"the recorded command through the drives' control law ({read})" if driven.is_law else "the measured torque"
-    how = f"{len(starts)} windows of {span}. The simulation is driven by {what}"
+    how = f"{len(starts)} windows within {span}. The simulation is driven by {what}"
     how += "; the base stands still." if robot.floating else "."
     models = {"as given": by_model} | ({"as changed": by_changed} if by_changed is not by_model else {})
     left = [f"{item.ended()} of the model {words}" for words, item in models.items() if item.ended()]

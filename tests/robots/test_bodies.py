@@ -201,3 +201,9 @@ def test_the_hand_of_a_real_arm_is_not_mounted(data_folder: Path) -> None:
     assert diagnosis.verdict.startswith("The part panda_hand with 2 more of the file (0.76 kg) is not mounted")
     assert diagnosis.bodies is not None
     assert np.all(diagnosis.bodies.after[:6] < 0.5 * diagnosis.bodies.before[:6])
+
+
+def test_a_link_and_a_payload_on_it_are_one_claim(tmp_path: Path) -> None:
+    found = finding_of(make_case("leg", "mass", 2), tmp_path / "leg.urdf")
+    assert found.kind in ("link", "payload")
+    assert found.claimed

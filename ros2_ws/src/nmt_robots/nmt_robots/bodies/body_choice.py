@@ -39,6 +39,10 @@ _PAYLOAD_SIZES = (0.03, 0.15, 0.5)
 _PAYLOAD_SPREAD = 1.5
 _NAMED, _TOGETHER = 0.9, 0.95
 """Probability of one subject that is named, and of several that cannot be told apart."""
+_SURELY = 0.99
+"""Of a payload and its link: share from which it is a payload; below, the link differs, which is true of both."""
+_RISES = 3.0
+"""ln evidence by which a further link has to be better."""
 _PAIRED = 6
 """Links of highest evidence of which pairs are made."""
 
@@ -120,11 +124,14 @@ class BodyChoice:
         weighed: best first.
         probability: of each, in the same order.
         named: subjects that hold 95 % together, likeliest first.
+        same: what else the first of them may be called, with its probability, where no log parts the two: a payload
+            on a last link is that link with more in it.
     """
 
     weighed: tuple[Weighed, ...]
     probability: tuple[float, ...]
     named: tuple[tuple[Weighed, float], ...] = field(default=())
+    same: tuple[tuple[Weighed, float], ...] = field(default=())
 
 
 class BodyEvidence:
@@ -332,11 +339,52 @@ class BodyEvidence:
             # The leanest explanation of a subject stands for it.
             if key not in best or (best[key].explanation.subject != key and item.explanation.subject == key):
                 best[key] = nothing if key == nothing.explanation.subject else item
+        same = self._joined(subjects, best)
         named: list[tuple[Weighed, float]] = []
         for key in sorted(subjects, key=lambda key: -subjects[key]):
             named.append((best[key], subjects[key]))
             if sum(probability for _, probability in named) >= (_NAMED if len(named) == 1 else _TOGETHER):
                 break
         return BodyChoice(
-            tuple(weighed[place][0] for place in order), tuple(float(shares[place]) for place in order), tuple(named)
-        )
+            tuple(weighed[place][0] for place in order), tuple(float(shares[place]) for place in order), tuple(named),
+            tuple(same.get(named[0][0].explanation.subject, ())),
+        )  # fmt: skip
+
+    def _joined(
+        self, subjects: dict[Subject, float], best: dict[Subject, Weighed]
+    ) -> dict[Subject, list[tuple[Weighed, float]]]:
+        """Probabilities of subjects that are one, put together in place; what else each may be called.
+
+        All links, of which only some are needed, are those. A link may be a payload on it.
+        """
+        every = next((key for key in subjects if key[0] == "all"), None)
+        if every is not None and 1.0 - _TOGETHER < subjects[every] < _NAMED:
+            needed = self.grown(every[1]).explanation.links
+            some = next((key for key in subjects if key[0] == "pair" and key[1] == needed), None)
+            if some is not None:
+                subjects[some] += subjects.pop(every)
+        same: dict[Subject, list[tuple[Weighed, float]]] = {}
+        for end in self.ends:
+            link = next((key for key in subjects if key[0] == "link" and key[1] == (end,)), None)
+            load = next((key for key in subjects if key[0] == "payload" and key[4] == end), None)
+            if link is None or load is None:
+                continue
+            total = subjects[link] + subjects[load]
+            if total >= _NAMED and 1.0 - _TOGETHER < subjects[load] / total < _SURELY:
+                same[link] = [(best[load], subjects.pop(load))]
+                subjects[link] = total
+        return same
+
+    def grown(self, links: Sequence[int]) -> Weighed:
+        """Links added one by one to none while the evidence rises."""
+        found = self.weigh(BodyExplanation("none"))
+        while True:
+            more = [
+                self.weigh(BodyExplanation("several", tuple(sorted((*found.explanation.wide, (link, EVERY))))))
+                for link in links
+                if link not in found.explanation.links
+            ]
+            further = max(more, key=lambda item: item.evidence, default=None)
+            if further is None or further.evidence < found.evidence + _RISES:
+                return found
+            found = further

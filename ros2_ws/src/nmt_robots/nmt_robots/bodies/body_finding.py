@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
 from nmt_core.text.number_words import percent, value_text
-from nmt_robots.bodies.body_choice import EVERY, BodyChoice, BodyEvidence, BodyExplanation, Weighed
+from nmt_robots.bodies.body_choice import EVERY, TOLERANCE, BodyChoice, BodyEvidence, BodyExplanation, Weighed
 from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, Whitened, across, body_rows, free_spread, whitened
 from nmt_robots.bodies.body_shape import SHAPE, moved_body
 from nmt_robots.bodies.robot_parts import MountedPart, last_links, parts_of
@@ -26,8 +27,6 @@ from nmt_robots.model.robot_model import BodyChange, Joint, RobotModel
 _EARLY = 0.7
 _TOLD = 0.7
 """Share of a prior's variance that the log has to take for a number to be stated."""
-_RISES = 3.0
-"""ln evidence by which a further link has to be better."""
 _SAME = 3.0
 """Standard uncertainties within which the mass of a part is that which its link lacks."""
 _SAME_SHARE, _AS_MUCH = 0.2, 0.9
@@ -35,6 +34,8 @@ _SAME_SHARE, _AS_MUCH = 0.2, 0.9
 _MISFIT = 3.0
 """Pull of a tolerance, in standard deviations, from which the bodies are not as in the file for sure."""
 _IMPLAUSIBLE = 3.5
+_ONE_OF_ALL = 0.005
+"""Probability that one of many numbers is as far off by itself, above which that is plausible."""
 _FEWEST_ROWS = 80
 _WORDS = {
     ("spring", True): "spring at", ("constant", True): "gain or torque constant of",
@@ -42,6 +43,7 @@ _WORDS = {
 }  # fmt: skip
 """Of a joint, and whether the joint is asked for it: a computed torque has two gains next to the drive's constant."""
 _AXES = ("x", "y", "z")
+_OF_LINKS = frozenset({"link", "pair", "all", "several", "payload", "part"})
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,11 @@ class BodyFinding:
         """Whether bodies differ by a named cause."""
         return bool(self.words)
 
+    @property
+    def of_links(self) -> bool:
+        """Whether links, parts or payloads may differ."""
+        return any(item.split(" ")[0] in _OF_LINKS for item in self.subjects)
+
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
         return {
@@ -174,11 +181,12 @@ class _Asked:
         before = self._last_part(still)
         best, probability = choice.named[0]
         unseen = tuple(self._unseen())
-        instead = tuple((self._words(item.explanation), share) for item, share in choice.named[1:])
+        others = (*choice.named[1:], *choice.same)
+        instead = tuple((self._words(item.explanation), share) for item, share in others)
         base = BodyFinding(
             "none", "", "", probability, self._robot, self._robot, self._robot, np.ones(width), np.zeros(width), before,
             before, (), instead, unseen, nothing.pulled,
-            tuple(self._subject(item.explanation) for item, _ in choice.named),
+            tuple(self._subject(item.explanation) for item, _ in (*choice.named, *choice.same)),
         )  # fmt: skip
         if len(choice.named) > 1:
             listed = ", ".join(f"{self._words(item.explanation)} ({percent(share)})" for item, share in choice.named)
@@ -196,7 +204,8 @@ class _Asked:
         if best.explanation.kind in self._of_one_joint:
             words = f"{_capital(self._words(best.explanation))} explains the torque better than any body."
             return replace(base, kind="joint", sentence=words)
-        if best.reached > _IMPLAUSIBLE:
+        free = int(np.count_nonzero(self._evidence.spread(best.explanation)[1]))
+        if best.reached > max(_IMPLAUSIBLE, norm.isf(0.5 * _ONE_OF_ALL / max(free, 1))):
             words = (
                 f"Best fits: {self._words(best.explanation)}; but that would be off by {best.reached:.1f} prior "
                 "standard deviations, which no file is: nothing is claimed."
@@ -223,17 +232,8 @@ class _Asked:
                     return trial
         if explanation.kind != "all":
             return best
-        found = evidence.weigh(BodyExplanation("none"))
-        while True:
-            more = [
-                evidence.weigh(BodyExplanation("several", tuple(sorted((*found.explanation.wide, (link, EVERY))))))
-                for link in explanation.links
-                if link not in found.explanation.links
-            ]
-            further = max(more, key=lambda item: item.evidence, default=None)
-            if further is None or further.evidence < found.evidence + _RISES:
-                return found if found.explanation.wide else best
-            found = further
+        found = evidence.grown(explanation.links)
+        return found if found.explanation.wide else best
 
     def _claimed(self, base: BodyFinding, best: Weighed) -> BodyFinding:
         """The claim with the numbers that the log tells, tested on the last part of the log."""
@@ -251,7 +251,7 @@ class _Asked:
         fitted = evidence.weigh(explanation)
         touched = evidence.effect(fitted.wide) >= UNSEEN
         first = evidence.weigh(explanation, white)
-        after = self._last_part(first.wide)
+        after = self._last_part(first.change)
         closes = float(np.sum(np.log(after / base.before)))
         several = explanation.off < 0 and len(explanation.wide) > 1
         worse = holding is None or (several and bool(np.any(touched & (after >= base.before))))
@@ -277,8 +277,11 @@ class _Asked:
             f"probability {base.probability:.3g}. On the last part of the log, by values from before, the torque left "
             f"falls at {int(np.sum(after < base.before))} of {len(after)} joints."
         )
+        if base.instead:
+            sentence += f" It may be a {base.instead[0][0]} ({percent(base.instead[0][1])})."
         return replace(
-            base, kind=kind, words=words, subjects=(self._subject(fitted.explanation),), sentence=sentence,
+            base, kind=kind, words=words, subjects=(self._subject(fitted.explanation), *base.subjects[1:]),
+            sentence=sentence,
             values=values, effect=evidence.effect(fitted.wide), after=after, factor=factor, changes=changes,
             robot=self._robot.with_bodies(changes, gravity), within=self._robot.with_bodies(moved, gravity),
             early=self._robot.with_bodies(before, self._gravity(first)), gravity=gravity,
@@ -307,8 +310,8 @@ class _Asked:
 
     def _lost(self, explanation: BodyExplanation, white: Whitened, before: Array) -> float:
         """ln of how much more joints have left on the last part, over those whose torque the links take a part of."""
-        wide = self._evidence.weigh(explanation, white).wide
-        more = np.log(self._last_part(wide) / before)[self._evidence.effect(wide) >= UNSEEN]
+        first = self._evidence.weigh(explanation, white)
+        more = np.log(self._last_part(first.change) / before)[self._evidence.effect(first.wide) >= UNSEEN]
         return float(np.sum(np.maximum(more, 0.0)))
 
     def _measured(self, best: Weighed, link: int, numbers: tuple[int, ...]) -> tuple[int, ...]:
@@ -396,6 +399,8 @@ class _Asked:
             lean = np.degrees(item.numbers[rows.tilt])
             size = float(np.linalg.norm(lean))
             spread = np.linalg.norm(lean * np.degrees(item.std[rows.tilt])) / max(size, 1e-12)
+            # What leans is the file's masses.
+            spread = np.hypot(spread, TOLERANCE[0] * size)
             found.append(BodyValue("base", "lean", size, float(spread), 0.0, "°"))
         return found
 

@@ -19,6 +19,8 @@ _SHARE_OF_ONE = 0.4
 """Of the plain residual, taken by a lag that a single joint has to show."""
 _DOUBTFUL = 0.15
 """Torque left over, as a share, from which a lag may stand for an unknown cause."""
+_AT_LIMIT = 1.03
+"""Of a limit: torque above which it is no limit of the drive, whatever its noise."""
 _ORDINARY_S = 0.002
 """A control loop that holds its torque for a millisecond and a current loop are so late, s."""
 
@@ -35,21 +37,26 @@ def torque_findings(log: JointLog, joints: tuple[Joint, ...], torque: Array) -> 
                 fault=False,
             )
         )
-    beyond = []
+    at_limit, beyond = dict[str, float](), dict[str, float]()
     for number, joint in enumerate(joints):
-        share = float(np.mean(np.abs(torque[:, number]) > 0.999 * joint.effort))
+        size = np.abs(torque[:, number])
+        share = float(np.mean(size > 0.999 * joint.effort))
         if share > 0.002:
-            beyond.append((joint.name, share))
-    if beyond:
-        listed = ", ".join(f"{name} in {100 * share:.0f} % of the rows" for name, share in beyond)
-        how = "would be beyond" if log.is_arithmetic else "is at"
-        found.append(
-            Finding(
-                "saturation",
-                f"The torque {how} the limit that the model states for the drive: {listed}.",
-                max(share for _, share in beyond), 0.0, "share of rows", joints=tuple(name for name, _ in beyond),
-            )
-        )  # fmt: skip
+            # A drive at its limit gives no more than that.
+            more = not log.is_arithmetic and float(np.mean(size > _AT_LIMIT * joint.effort)) > 0.5 * share
+            (beyond if more else at_limit)[joint.name] = share
+    for shares, how, fault in (
+        (at_limit, "would be beyond" if log.is_arithmetic else "is at", True), (beyond, "goes beyond", False),
+    ):  # fmt: skip
+        if shares:
+            listed = ", ".join(f"{name} in {100 * share:.0f} % of the rows" for name, share in shares.items())
+            sentence = f"The torque {how} the limit that the model states for the drive: {listed}."
+            found.append(
+                Finding(
+                    "saturation" if fault else "beyond_limit", sentence, max(shares.values()), 0.0, "share of rows",
+                    joints=tuple(shares), fault=fault,
+                )
+            )  # fmt: skip
     return found
 
 
@@ -191,13 +198,20 @@ def _mirrored(joints: tuple[Joint, ...], motion: Motion, torque: Array) -> list[
         size = float(np.sqrt(np.mean(gravity**2)))
         if size < 0.3 * float(np.sqrt(np.mean(torque[:, number] ** 2))):
             continue
-        v = motion.v[:, number]
-        matrix = np.column_stack([gravity, np.sign(v), v, motion.a[:, number]])
         rows = motion.moving[:, number]
         if np.count_nonzero(rows) < 50:
             continue
-        factor = float(np.linalg.lstsq(matrix[rows], motion.smooth_twice(torque)[rows, number], rcond=None)[0][0])
-        if factor < -0.3:
+        v, acting = motion.v[rows, number], motion.smooth_twice(torque)[rows, number]
+        rubbing = np.column_stack([np.sign(v), v, motion.a[rows, number]])
+        matrix = np.column_stack([gravity[rows], rubbing])
+        factor = float(np.linalg.lstsq(matrix, acting, rcond=None)[0][0])
+        # A joint that other joints' motion moves hardly says what gravity does.
+        rigid = motion.rigid[rows, number]
+        as_named, turned, hanging = (
+            float(np.linalg.norm(left - rubbing @ np.linalg.lstsq(rubbing, left, rcond=None)[0]))
+            for left in (acting - rigid, acting + rigid, acting - rigid + 2.0 * gravity[rows])
+        )
+        if factor < -0.3 and min(turned, hanging) < as_named:
             wrong.append(joint.name)
     if not wrong:
         return []

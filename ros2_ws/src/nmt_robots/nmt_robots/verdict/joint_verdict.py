@@ -244,8 +244,13 @@ def with_body_terms(verdicts: list[JointVerdict], bodies: BodyFinding) -> list[J
     return found
 
 
-def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
-    """What single joints say of their drive: its gain, its torque constant, a limit of its torque."""
+def scale_findings(verdicts: tuple[JointVerdict, ...], of_bodies: bool = False) -> list[Finding]:
+    """What single joints say of their drive: its gain, its torque constant, a limit of its torque.
+
+    Args:
+        verdicts: of the joints.
+        of_bodies: whether all joints together say that bodies may differ, whose torque a constant scales.
+    """
     found = []
     for verdict in verdicts:
         best = verdict.mechanics
@@ -257,6 +262,8 @@ def scale_findings(verdicts: tuple[JointVerdict, ...]) -> list[Finding]:
                 continue
             name = verdict.joint.name
             bodies = OF_BODIES & set(best.choice.instead) if share.effect.key == best.causes[0] else set()
+            if of_bodies and key == "gain" and share.effect.shape not in _GAINS:
+                bodies = bodies | {"link_mass"}
             value = value_text(share.size, share.size_std, share.effect.unit if share.effect.unit != "1" else "")
             if share.effect.key == "saturation":
                 sentence = f"{name}: the drive's torque ends at {share.effect.shape}; the computed one goes beyond."

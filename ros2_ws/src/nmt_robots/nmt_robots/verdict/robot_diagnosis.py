@@ -317,7 +317,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     verdicts = undisturbed(verdicts, changed.coupling(log.joints, motion.q[:: max(1, log.rows // _POSES)]))
     if bodies is not None:
         verdicts = with_body_terms(verdicts, bodies)
-    found += scale_findings(tuple(verdicts))
+    found += scale_findings(tuple(verdicts), bodies is not None and bodies.of_links)
     reason = no_claims_because(found)
     if reason:
         verdicts = [without_claims(item, f"{reason}: nothing is claimed") for item in verdicts]

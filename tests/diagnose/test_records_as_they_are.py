@@ -13,6 +13,8 @@ from scipy.signal import TransferFunction, lsim
 from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.wire import BlockWriter
 from nmt_core.numerics.arrays import FloatArray
+from nmt_core.tolerances import TOLERANCES
+from nmt_diagnose.chain.chain_columns import record_errors
 from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
@@ -21,6 +23,7 @@ from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.driven_record import DrivenRecord, RecordPredictor, head_of, starts_in_motion
 from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise, noise_lines, propagated_noise
 from nmt_diagnose.observations.read_observations import read_observations
+from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_record.bag.bag_writer import BagWriter
@@ -122,6 +125,22 @@ def test_the_zero_of_a_sensor_is_an_error_of_the_record(tmp_path: Path) -> None:
     assert test.zeros[1] == pytest.approx(math.hypot(0.1 * np.abs(y + y_zero).max(), np.mean(y + y_zero)), rel=1e-3)
     found = diagnosed(rig, bag)
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
+
+
+def test_the_delay_of_a_channel_is_one_error_of_all_records(tmp_path: Path) -> None:
+    """Of a standard deviation the error changes the samples as the same delay of the sensor does."""
+    rig = rig_in(tmp_path)
+    volts = band_noise(4096, 1, 0.02)
+    bag = imported(tmp_path, volts, linear_response(volts), [(0, 2048), (2048, 4096)])
+    observations = read_observations([bag], rig)
+    errors = record_errors(observations, rig)
+    (name,) = (name for name in errors if name.startswith("delay "))
+    forward = Forward(observations.tests, observations.rows)
+    late = [s.model_copy(update={"delay_s": s.delay_s + TOLERANCES.delay_s}) for s in rig.sensors]
+    moved = forward.predict(rig.model_copy(update={"sensors": late})).values - forward.predict(rig).values
+    for number in range(2):
+        of_record = observations.rows.test == number
+        assert errors[name][of_record] == pytest.approx(moved[of_record], abs=0.01 * np.abs(moved[of_record]).max())
 
 
 def test_the_zero_of_a_sensor_is_one_for_quiet_and_loud_records(tmp_path: Path) -> None:

@@ -142,7 +142,8 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     found = builder.found() if builder else {}
     found.update(_unsettled(observations))
     found.update(_phase_at_lock(observations, rig, prediction))
-    found.update(record_errors(observations, rig))
+    for name, column in record_errors(observations, rig).items():
+        found[name] = found[name] + column if name in found else column
     found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
     information = {name: float(np.sum((column / observations.sigma) ** 2)) for name, column in found.items()}
     kept = [name for name in found if information[name] > THRESHOLDS.misfit.least_chain_error]
@@ -480,7 +481,8 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
         rig: an explanation of it.
     """
     rows, settings = observations.rows, PredictionSettings()
-    cache, found = PartsCache(settings), {}
+    cache = PartsCache(settings)
+    found: dict[str, FloatArray] = {}
     by_sensor: dict[str, list[tuple[float, FloatArray]]] = {}
     chains = (*observations.chains, *[None] * len(observations.tests))
     for number, (test, chain) in enumerate(zip(observations.tests, chains, strict=False)):
@@ -491,8 +493,7 @@ def record_errors(observations: Observations, rig: Rig) -> dict[str, FloatArray]
         part = replace(part, test=np.zeros_like(part.test))
         errors, zeros = test.record.errors(part, rig, cache, settings, chain)
         for name, column in errors.items():
-            found[name] = np.zeros(len(rows))
-            found[name][selected] = column
+            found.setdefault(name, np.zeros(len(rows)))[selected] = column
             if name in zeros:
                 by_sensor.setdefault(name.removesuffix(f" in {test.name}"), []).append((zeros[name], found[name]))
     for name, columns in by_sensor.items():

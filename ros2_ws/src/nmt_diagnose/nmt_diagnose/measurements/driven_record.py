@@ -6,6 +6,7 @@ import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Collection, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -88,14 +89,29 @@ class SamplePredictor(Predictor):
         selected = self.rows.part == Part.SAMPLE
         return np.where(selected, responses[np.maximum(self.rows.channel, 0), self._sample], otherwise)
 
-    def _sensor_errors(self, responses: FloatArray, chain: MeasuringChain) -> dict[str, FloatArray]:
-        """What a standard deviation of zero and gain of each sensor adds to the rows, for what the model records."""
+    def _sensor_errors(
+        self, raw: FloatArray, parts: RigParts, rate: float, chain: MeasuringChain
+    ) -> dict[str, FloatArray]:
+        """What a standard deviation of zero, gain and delay of each sensor adds to the rows.
+
+        A delay has the name that it has in other tests: it is one error of a channel.
+
+        Args:
+            raw: what the channels of the model record without their sensors, (channels, samples).
+            parts: of the rig.
+            rate: of the samples, Hz.
+            chain: of the record.
+        """
         found: dict[str, FloatArray] = {}
-        values = self._of_rows(responses)
+        values = self._of_rows(recorded(raw, parts, self._places, rate))
+        channels = parts.channels.copy()
+        channels[self._places, DELAY] += [chain.of(channel.name).delay_s for channel in self.channels]
+        later = self._of_rows(recorded(raw, replace(parts, channels=channels), self._places, rate)) - values
         for number, channel in enumerate(self.channels):
             selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
             found[f"zero of {channel.name} in {self.test.name}"] = float(self.test.zeros[1 + number]) * selected
             found[f"gain of {channel.name} in {self.test.name}"] = chain.of(channel.name).gain * values * selected
+            found[f"delay {channel.name}"] = later * selected
         return found
 
 
@@ -136,7 +152,7 @@ class RecordPredictor(SamplePredictor):
     def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
 
-        Errors are the zero and the gain of each sensor and the state in which the record begins.
+        Errors are zero, gain and delay of each sensor and the state in which the record begins.
 
         Args:
             rig: about whose motion they act.
@@ -160,7 +176,7 @@ class RecordPredictor(SamplePredictor):
             if louder > 0.0:
                 moved = self._stepped(parts, rate, substeps, louder=louder)[0]
                 found[f"gain of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
-            found |= self._sensor_errors(base, chain)
+            found |= self._sensor_errors(raw, parts, rate / self.test.head_stride, chain)
         for number, error in enumerate(initial.errors):
             moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]
             found[f"start {number} of {self.test.name}"] = change(moved)

@@ -144,10 +144,15 @@ class ImposedMotionPredictor(SamplePredictor):
         for what, moved in (("zero", test.with_zero(_ERROR_STEP)), ("gain", test.with_gain(_ERROR_STEP))):
             change = (self._responses(rig, cache, moved) - base) / _ERROR_STEP
             found[f"{what} of {test.input_channel.name} in {test.name}"] = self._of_rows(change)
-        return found | self._sensor_errors(base, chain)
+        return found | self._sensor_errors(*self._raw(rig, cache, test.motion), chain)
 
     def _responses(self, rig: Rig, cache: PartsCache, motion: FloatArray) -> FloatArray:
         """Recorded channels, (channels, samples)."""
+        raw, parts, rate = self._raw(rig, cache, motion)
+        return recorded(raw, parts, self._places, rate)
+
+    def _raw(self, rig: Rig, cache: PartsCache, motion: FloatArray) -> tuple[FloatArray, RigParts, float]:
+        """Channels before their sensors, (channels, samples), parts of the rig and sampling rate by its clock, Hz."""
         test = self.test
         parts = cache.parts(rig, self.setup, test.start_s + 0.5 * test.input.size / test.sample_rate)
         rate = test.sample_rate * parts.clock
@@ -158,7 +163,7 @@ class ImposedMotionPredictor(SamplePredictor):
         steps = _between(motion * np.array([1.0, parts.clock, parts.clock**2])[:, None], substeps)
         timed = parts.timed.tables(test.signals, substeps)
         raw = step_through(steps, substeps, parts.coordinates, model, parts.force_factor, parts.tables, timed=timed)
-        return recorded(raw, parts, self._places, rate)
+        return raw, parts, rate
 
 
 def free_model(parts: RigParts, settings: PredictionSettings) -> LinearModel:

@@ -7,15 +7,16 @@ from collections import deque
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
-from unittest.mock import patch
+from unittest.mock import MagicMock, patch
 
 import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
+from nmt_core.kinds import ResponseCurveTest
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.records import LevelCommand
-from nmt_core.vocabulary import ControlKind, LoopState
+from nmt_core.vocabulary import ControlKind, CurveParameter, LoopState, TestKind
 from nmt_pll.amplitude.response_control import ResponseController
 from nmt_pll.force_control.force_controller import ForceController, ForceSetup, most_harmonics
 from nmt_pll.force_control.force_per_volt import fundamental_gain
@@ -24,11 +25,13 @@ from nmt_pll.force_control.modal_power_ratio import ModalPowerRatio, check_modes
 from nmt_pll.force_control.mode_shape_targets import ModeShapeTargets
 from nmt_pll.loop_settings import LoopSettings
 from nmt_pll.open_loop.sweep_loop import SteppedSineLoop, _Stage
+from nmt_pll.phase_loop.loop import PhaseLockedLoop
 from nmt_pll.secondary import secondary_loop
 from nmt_pll.secondary.secondary_loop import SecondaryResonanceLoop
 from nmt_pll.self_excited.self_excited_control import AmplitudeLaw, SelfExcitedPlant
 from nmt_pll.self_excited.self_excited_loop import SelfExcitedLoop, _Act
 from nmt_pll.thresholds import SECONDARY
+from nmt_session.curve_loop import curve_values
 
 
 def waits(error: float) -> bool:
@@ -318,8 +321,42 @@ def glides(step: float) -> bool:
     return done == ["approach"]
 
 
+def of_a_curve(name: str) -> float:
+    """A setting of the loop along a response curve, of a mode that settles within a dwell."""
+    linear: Any = SimpleNamespace(damping_ratios=[0.5], target_mode=0)
+    return float(curve_values(ResponseCurveTest(), linear, {}, ControlKind.RESPONSE)[name])
+
+
+def closed_from() -> int:
+    """Sample from which the loop is closed after a start from rest, ramp 1 s, decay 2 1/s, 1000 samples/s."""
+    level: Any = MagicMock(
+        frequency_hz=1.0, held_phase=0.5, release=0.0, ramp=1.0, parameter=CurveParameter.LAG, timeout=0.0,
+        test=TestKind.RESPONSE_CURVE,
+    )  # fmt: skip
+    loop = MagicMock(cutoff=100.0, sample_rate=1000.0)
+    loop.plant.plant_decay, loop.settings.ramp_delay_periods = 2.0, 0
+    loop._force_schedule.amplitude_bandwidth = 1.0
+    PhaseLockedLoop._start(loop, level, 0, True)
+    return int(loop._closed_from)
+
+
+def gain_along_a_secant() -> Any:
+    """Share of the loop's gains that a secant takes."""
+    loop = MagicMock(cutoff=1.0, block_duration=0.01, decay=1.0, _slope=0.0, _is_gentle=False, _found_phase=0.0)
+    loop._parameter, loop._mean_phase, loop.dwell.length = CurveParameter.SECANT, 0.0, 1
+    loop._level = SimpleNamespace(phase_per_response=0.0, control=ControlKind.VOLTAGE)
+    loop.controller.output, loop.linear.drive_point_shape, loop._per_displacement = 100.0, 1.0, lambda: 1.0
+    loop.schedule.gains.return_value = SimpleNamespace(scaled=lambda share: share)
+    PhaseLockedLoop._control(loop, 0.0, 0.0, 1.0, 1.0, 0)
+    return loop.controller.update.call_args.args[1]
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "pll.amplitude.waiting_error": (lambda: (waits(0.09), waits(0.11)), (False, True)),
+    "pll.curve.phase_tolerance": (lambda: of_a_curve("phase_tolerance"), pytest.approx(math.radians(0.5))),
+    "pll.curve.frequency_steadiness": (lambda: of_a_curve("frequency_tolerance"), pytest.approx(1e-3)),
+    "pll.curve.free_decays": (closed_from, 2500),
+    "pll.curve.slow_share": (gain_along_a_secant, 0.15),
     "pll.harmonics.automatic_highest": (lambda: most_harmonics(1.0, 1e4, 1.0), 15),
     "pll.harmonics.initial_gain_std": (lambda: GainEstimate(1, 1).covariance[0, 0, 0].real, pytest.approx(0.3**2)),
     "pll.harmonics.largest_gain_std": (forgotten, pytest.approx(0.5**2)),

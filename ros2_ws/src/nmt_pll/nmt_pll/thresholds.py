@@ -495,12 +495,12 @@ class CurveThresholds:
     phase_tolerance: float = threshold(
         math.radians(0.5), "rad",
         "Points only have to be steady in lag.",
-        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.curve.phase_tolerance]",
     )  # fmt: skip
     free_decays: float = threshold(
         3.0, "1",
         "Time constants that a start from rest waits.",
-        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.curve.free_decays]",
     )  # fmt: skip
     largest_gain: float = threshold(
         1.5, "1",
@@ -510,7 +510,7 @@ class CurveThresholds:
     frequency_steadiness: float = threshold(
         1.0e-3, "1",
         "Remaining relative motion in frequency at lock.",
-        "tests/session/test_response_curve.py::test_a_hardening_curve_is_followed_through_both_folds",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.curve.frequency_steadiness]",
     )  # fmt: skip
     steadiness: float = threshold(
         2.0e-3, "1",
@@ -556,7 +556,7 @@ class CurveThresholds:
     slow_share: float = threshold(
         0.15, "1",
         "Loop speed next to another mode, above fold instability.",
-        "tests/session/test_folding_lag.py::test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.curve.slow_share]",
     )  # fmt: skip
     way_decays: float = threshold(
         2.0, "1",

@@ -18,7 +18,7 @@ from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.records import LevelCommand
 from nmt_core.vocabulary import ControlKind, CurveParameter, LoopState, TestKind
 from nmt_pll.amplitude.response_control import ResponseController
-from nmt_pll.force_control.force_controller import ForceController, ForceSetup, most_harmonics
+from nmt_pll.force_control.force_controller import ForceController, ForceSetup, integral_rate, most_harmonics
 from nmt_pll.force_control.force_per_volt import fundamental_gain
 from nmt_pll.force_control.gain_estimate import GainEstimate
 from nmt_pll.force_control.modal_power_ratio import ModalPowerRatio, check_modes
@@ -357,6 +357,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "pll.curve.frequency_steadiness": (lambda: of_a_curve("frequency_tolerance"), pytest.approx(1e-3)),
     "pll.curve.free_decays": (closed_from, 2500),
     "pll.curve.slow_share": (gain_along_a_secant, 0.15),
+    "pll.harmonics.phase_margin_rad": (lambda: integral_rate(4.0, 0.75), pytest.approx(0.35)),
     "pll.harmonics.automatic_highest": (lambda: most_harmonics(1.0, 1e4, 1.0), 15),
     "pll.harmonics.initial_gain_std": (lambda: GainEstimate(1, 1).covariance[0, 0, 0].real, pytest.approx(0.3**2)),
     "pll.harmonics.largest_gain_std": (forgotten, pytest.approx(0.5**2)),

@@ -96,7 +96,7 @@ class HarmonicsThresholds:
     phase_margin_rad: float = threshold(
         0.35, "rad",
         "Gives a phase margin of 70°, a gain margin of 4.5.",
-        "tests/pll/test_force_controller.py::test_closed_form_has_the_margins_that_it_states",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.harmonics.phase_margin_rad]",
     )  # fmt: skip
     automatic_highest: int = threshold(
         15, "1",

@@ -28,6 +28,7 @@ from nmt_core.messages.linear_description import LinearDescription
 from nmt_core.messages.modal_point import ModalPoint
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.vocabulary import PointStatus
+from nmt_extract.judgement.student import two_sided_quantile
 from nmt_extract.judgement.window_judge import phase_part
 from nmt_record.exchange.sidecar.channel_tolerances import Tolerances
 
@@ -132,9 +133,7 @@ class Budget:
         """k for an interval of 95 %, Student's t at the effective degrees of freedom (Welch–Satterthwaite)."""
         noise, total = self.parts.get(UncertaintySource.NOISE, 0.0), self.total
         degrees = self.noise_degrees * (total / noise) ** 4 if noise > 0.0 and self.noise_degrees > 0.0 else math.inf
-        from scipy.special import stdtrit  # the nodes that import this module need none of it
-
-        return float(stdtrit(max(degrees, 1.0), 0.5 * (1.0 + COVERAGE)))
+        return two_sided_quantile(max(degrees, 1.0), COVERAGE)
 
     @property
     def expanded(self) -> float:

@@ -203,6 +203,16 @@ def test_the_hand_of_a_real_arm_is_not_mounted(data_folder: Path) -> None:
     assert np.all(diagnosis.bodies.after[:6] < 0.5 * diagnosis.bodies.before[:6])
 
 
+@pytest.mark.parametrize("waves", [3.4, 4.5, 8.6, 15.0])
+def test_ripple_of_a_gear_is_no_body(tmp_path: Path, waves: float) -> None:
+    """Waves between and beyond those that are nuisances, 2 % of the torque."""
+    case = make_case("leg", "none", 1)
+    size = np.sqrt(np.mean(case.columns["torque"] ** 2, axis=0))
+    case.columns["torque"] += 0.02 * size * np.sin(waves * case.columns["position"] + np.arange(size.size))
+    found = finding_of(case, tmp_path / "leg.urdf")
+    assert found.subjects == ("none",) or not found.claimed
+
+
 def test_a_link_and_a_payload_on_it_are_one_claim(tmp_path: Path) -> None:
     found = finding_of(make_case("leg", "mass", 2), tmp_path / "leg.urdf")
     assert found.kind in ("link", "payload")

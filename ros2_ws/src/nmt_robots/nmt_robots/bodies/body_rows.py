@@ -42,6 +42,10 @@ _NOISE_FLOOR = 0.002
 _AS_UNCERTAIN = 0.01
 """Of a joint's torque: error of a row in the fit whose errors on other rows are looked at."""
 _KINDS = ("sticking", "creeping", "viscous", "armature", "offset", "late")
+_RIPPLES = tuple(range(3, 13))
+"""Waves in a turn of a joint that its gear or motor may add: slow enough to pass for gravity, not gravity's own."""
+_RIPPLE = 0.005
+"""Prior standard deviation of a sine or cosine of them, as a share of a joint's torque."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +59,8 @@ class BodyRows:
         size: J, rms of the torque, N·m.
         columns: N × J × P: ten of each link, two of a tilt (per rad), one of each joint's drive (per share), and of
             what no body is, a spring at each joint.
-        nuisances: N × J × K × J: friction, armature, offset and delay of each joint, per prior standard deviation.
+        nuisances: N × J × K × J: friction, armature, offset, delay and ripple of each joint, per prior standard
+            deviation.
         time: N, s.
     """
 
@@ -132,15 +137,18 @@ def body_rows(
         for place, values in enumerate((bodies, turned)):
             columns[:, joint, 10 * count + 2 + place * width + joint] = values[:, joint]
     spread = _FRICTION * size
-    nuisances = np.zeros((len(keep), width, len(_KINDS), width))
+    nuisances = np.zeros((len(keep), width, len(_KINDS) + 2 * len(_RIPPLES), width))
     late = passed(np.gradient(torque, step_s, axis=0)) * _LATE_S
     kinds = (rubbing, passed(built_up(q, _CREEP_RAD)), passed(v), inertial, np.ones_like(target))
     for place, values in enumerate(kinds):
         scaled = spread * values / np.maximum(np.sqrt(np.mean(values**2, axis=0)), 1e-12)
         for joint in range(width):
             nuisances[:, joint, place, joint] = scaled[:, joint]
+    waves = [passed(wave(turns * q)) for turns in _RIPPLES for wave in (np.sin, np.cos)]
     for joint in range(width):
-        nuisances[:, joint, -1, joint] = late[:, joint]
+        nuisances[:, joint, len(_KINDS) - 1, joint] = late[:, joint]
+        for place, values in enumerate(waves, len(_KINDS)):
+            nuisances[:, joint, place, joint] = _RIPPLE * size[joint] * values[:, joint]
     return BodyRows(tuple(motion.links), gravity, left, size, columns, nuisances, keep * step_s)
 
 

@@ -31,6 +31,8 @@ from nmt_pll.secondary.secondary_loop import SecondaryResonanceLoop
 from nmt_pll.self_excited.self_excited_control import AmplitudeLaw, SelfExcitedPlant
 from nmt_pll.self_excited.self_excited_loop import SelfExcitedLoop, _Act
 from nmt_pll.thresholds import SECONDARY
+from nmt_rig.linear_description import linear_description
+from nmt_rig.rig import load_rig
 from nmt_session.curve_loop import curve_values
 
 
@@ -351,6 +353,15 @@ def gain_along_a_secant() -> Any:
     return loop.controller.update.call_args.args[1]
 
 
+def largest_voltage() -> float:
+    """Largest drive of a self-excited test whose limit is 2 V."""
+    rig = load_rig("van_der_pol")
+    loop = SelfExcitedLoop(
+        linear_description(rig), LoopSettings(voltage_limit=2.0), rig.sample_rate_hz, rig.block_samples
+    )
+    return float(loop._largest)
+
+
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "pll.amplitude.waiting_error": (lambda: (waits(0.09), waits(0.11)), (False, True)),
     "pll.curve.phase_tolerance": (lambda: of_a_curve("phase_tolerance"), pytest.approx(math.radians(0.5))),
@@ -396,6 +407,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
         lambda: (watched(9.0, -0.021), watched(9.0, -0.019)), ("_again", "_open")
     ),
     "pll.self_excited.growth_periods": (lambda: (watched(7.9), watched(8.1)), ("", "_again")),
+    "pll.self_excited.voltage_limit_share": (largest_voltage, pytest.approx(1.8)),
     "pll.sweeps.glide_frequency_step": (lambda: (glides(0.049), glides(0.051)), (True, False)),
     "pll.self_excited.shortest_free_window_periods": (lambda: free_window(9.0), pytest.approx(6.0)),
     "pll.self_excited.free_window_log_span": (lambda: free_window(0.1), pytest.approx(8.0)),

@@ -338,7 +338,7 @@ class SelfExcitedThresholds:
     voltage_limit_share: float = threshold(
         0.9, "1",
         "Share of the voltage limit that feedback may use.",
-        "tests/pll/test_self_excited_loop.py::test_an_unstable_rig_never_passes_its_limits_at_a_start",
+        "tests/pll/test_threshold_edges.py::test_a_threshold_decides[pll.self_excited.voltage_limit_share]",
     )  # fmt: skip
     filter_cutoff_ratio: float = threshold(
         0.3, "1",

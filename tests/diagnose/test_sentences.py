@@ -14,10 +14,10 @@ def spring(sigmas: float) -> Recalibrated:
     return Recalibrated("structure.springs_n_m.0", 210.0, 218.0, 8.0 / sigmas, "N/m", 0.05, sigmas)
 
 
-def said(verdict: Verdict, *calibration: Recalibrated, effect: str = "cubic_stiffness") -> str:
+def said(verdict: Verdict, *calibration: Recalibrated, effect: str = "cubic_stiffness", gap: Gap = GAP) -> str:
     head = Ranked(effect, "structure", "1", 0.99, (), {}, Share(0.94, 0.92, 0.96), 30.0)
     where, ranking = (PlaceShare("structure", "1", 1.0, 1.0),), (head,)
-    return " ".join(sentences(verdict, where, ranking, None, GAP, (), calibration))
+    return " ".join(sentences(verdict, where, ranking, None, gap, (), calibration))
 
 
 def test_no_gap_names_parameters_that_moved_by_many_of_their_uncertainties() -> None:
@@ -29,7 +29,10 @@ def test_no_gap_names_parameters_that_moved_by_many_of_their_uncertainties() -> 
 
 def test_an_effect_is_told_beside_the_model_as_it_was_given() -> None:
     text = said(Verdict.EFFECT)
-    assert "57.66 with the model as given, 86.37 with its parameters re-fitted (which predicts worse), 5.20" in text
+    assert (
+        "57.66 with the model as given, 86.37 with its parameters re-fitted (which predicts worse), 5.20 with it added"
+        in text
+    )
 
 
 def test_what_the_model_has_is_corrected_and_what_it_lacks_is_added() -> None:

@@ -110,6 +110,10 @@ def test_shapes_clock_and_method() -> None:
     assert [sentence.split(";")[0] for sentence in left_out(replace(inputs, method=None))] == [
         "± does not include the error of single-point excitation"
     ]
+    two = replace(inputs, method=None, linear=replace(inputs.linear, exciter_points=(1, 4)))
+    assert [sentence.split(";")[0] for sentence in left_out(two)] == [
+        "± does not include the error of excitation at 2 points"
+    ]
 
 
 def test_repeats_count_beyond_the_noise() -> None:

@@ -14,7 +14,7 @@ from report.synthetic_run import synthetic_run
 
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_report.diagnosis_report import diagnosis_page
-from nmt_report.html_page import PageColumn, Row, Table, part, render
+from nmt_report.html_page import PageColumn, Row, Table, part, render, subtitle
 from nmt_report.response_page import ResponsePage, html_table
 from nmt_report.run_report import report_html
 from nmt_report.svg import ReportFigure
@@ -46,6 +46,20 @@ def test_cells_are_escaped_unless_they_are_markup() -> None:
 def test_a_page_without_what_it_needs_is_refused() -> None:
     with pytest.raises(UndefinedError, match="sections"):
         render("base.html", title="t")
+
+
+@pytest.mark.parametrize(
+    ("run", "below_name"),
+    [
+        ({"device": "simulated rig"}, "Simulated rig: a beam"),
+        ({"device": "nidaqmx"}, "a beam"),
+        ({"imported": {"file": "x.csv"}}, "a beam"),
+        ({}, "a beam"),
+    ],
+)
+def test_a_rig_is_simulated_only_where_its_recording_says_so(run: dict[str, object], below_name: str) -> None:
+    assert subtitle(run, "a beam") == below_name
+    assert subtitle(run, "") == ("Simulated rig" if "Simulated" in below_name else "")
 
 
 def test_every_text_of_a_response_page_is_escaped() -> None:

@@ -276,27 +276,34 @@ def _words(values: Array) -> str:
     return " ".join(f"{value:.9g}" for value in values)
 
 
-def judged(finding: Any, truth: Truth, alternatives: Any) -> str:
-    """``right``, ``class`` (the truth is among those that cannot be told apart), ``unsure`` or ``wrong``."""
-    small = truth.kind == "none" or float(np.max(truth.effect)) < SMALLEST
-    wanted = {"none"} if small else answers(truth)
-    if truth.kind != "none" and float(np.max(truth.effect)) < 1.7 * SMALLEST:
+def judged(finding: Any, truth: Truth) -> str:
+    """``right``, ``class`` (the truth is among those that cannot be told apart), ``unsure`` or ``wrong``.
+
+    Args:
+        finding: of the bodies; None where they were not asked.
+        truth: of the case.
+    """
+    kind, subjects = ("not asked", ()) if finding is None else (finding.kind, finding.subjects)
+    largest = float(np.max(truth.effect, initial=0.0))
+    wanted = {"none"} if truth.kind == "none" or largest < SMALLEST else answers(truth)
+    if truth.kind != "none" and largest < 1.7 * SMALLEST:
         wanted.add("none")
-    if finding.kind == "unknown":
-        return "class" if wanted & set(alternatives) else "unsure"
-    return "right" if wanted & set(alternatives) else "wrong"
+    if kind in ("unknown", "not asked", "joint"):
+        return "class" if wanted & set(subjects) else "unsure"
+    if truth.kind == "several" and any(item.startswith(("all", "several", "pair")) for item in subjects):
+        return "right"
+    return "right" if wanted & set(subjects) else "wrong"
 
 
 def answers(truth: Truth) -> set[str]:
     """What may be answered, as kind and places; a payload on the last link is that link with more in it."""
     if truth.kind in ("mass", "centre"):
         return {f"link {truth.place}"}
-    if truth.kind == "part":
-        return {"part hand", "part foot"}
     if truth.kind == "payload":
         return {f"payload {truth.place}", f"link {truth.place}"}
     if truth.kind == "two":
-        return {f"pair {truth.place}", f"several {truth.place}"}
+        places = (truth.place, " ".join(reversed(truth.place.split())))
+        return {f"{kind} {place}" for kind in ("pair", "several") for place in places}
     return {f"{truth.kind} {truth.place}".strip()}
 
 
@@ -322,7 +329,7 @@ def tally(seeds: int, dirty: bool, kinds: tuple[str, ...] = KINDS) -> tuple[Coun
                     found = body_finding(model, log, case.columns["torque"], model.chosen(names))
                     assert found is not None
                     seconds = time.process_time() - begun
-                verdict = judged(found, case.truth, found.subjects)
+                verdict = judged(found, case.truth)
                 counts[verdict] += 1
                 lines.append(
                     f"{verdict:7} {robot} {kind} {seed} {case.truth.place} "

@@ -32,7 +32,6 @@ ROBOTS = {
 }
 """File, beginning of the joints' names, how many, and the first link of the part that may be off."""
 KINDS = ("none", "part", "mass", "centre", "payload", "tilt", "constant", "two", "several")
-SMALLEST = 0.03
 MOMENT = 2e-4
 TOOL = (0.76, 0.12, 4e-4)
 """Mass (kg), place along the last link (m) and moment of inertia about each axis (kg·m²) of a tool that a file has."""
@@ -247,6 +246,8 @@ def _torque(pin: Any, model: Any, names: list[str], q: Any, v: Any, a: Any, grav
 
 def judged(folder: Path) -> dict[str, Any]:
     """The diagnosis of a case next to what is true of it."""
+    from nmt_laboratories.body_cases import Truth
+    from nmt_laboratories.body_cases import judged as verdict_of
     from nmt_robots.log.proposal import propose_sidecar
     from nmt_robots.verdict.robot_diagnosis import diagnose_robot
 
@@ -257,15 +258,15 @@ def judged(folder: Path) -> dict[str, Any]:
     diagnosis = diagnose_robot(robot, sidecar)
     seconds = round(time.process_time() - begun, 1)
     bodies = diagnosis.bodies
-    kind, subjects = ("not asked", ()) if bodies is None else (bodies.kind, bodies.subjects)
+    sealed = Truth(truth["kind"], " ".join(truth["place"]), truth["size"], np.array(truth["effect"]))
     extra = {
         joint.joint.name: [term.key for term in joint.terms if term.differs and term.key not in USUAL]
         for joint in diagnosis.joints
     }
     return {
-        "verdict": _verdict(truth, kind, subjects),
-        "kind": kind,
-        "subjects": list(subjects),
+        "verdict": verdict_of(bodies, sealed),
+        "kind": "not asked" if bodies is None else bodies.kind,
+        "subjects": [] if bodies is None else list(bodies.subjects),
         "probability": 0.0 if bodies is None else bodies.probability,
         "sentence": "" if bodies is None else bodies.sentence,
         "deviations": [] if bodies is None else _deviations(truth, bodies),
@@ -278,33 +279,6 @@ def judged(folder: Path) -> dict[str, Any]:
 USUAL = frozenset({"coulomb", "viscous", "armature", "bodies", "torque_constant", "stribeck", "ripple",
                    "changing_friction", "offset"})  # fmt: skip
 """Terms that are planted, in dirty cases too, and the bodies."""
-
-
-def _verdict(truth: dict[str, Any], kind: str, subjects: tuple[str, ...]) -> str:
-    """``right``, ``class`` (the truth is among those that cannot be told apart), ``unsure`` or ``wrong``."""
-    wanted = _answers(truth)
-    largest = max(truth["effect"])
-    if truth["kind"] == "none" or largest < SMALLEST:
-        wanted = {"none"}
-    elif largest < 1.7 * SMALLEST:
-        wanted.add("none")
-    if kind in ("unknown", "not asked", "joint"):
-        return "class" if wanted & set(subjects) else "unsure"
-    if truth["kind"] == "several" and any(item.startswith(("all", "several", "pair")) for item in subjects):
-        return "right"
-    return "right" if wanted & set(subjects) else "wrong"
-
-
-def _answers(truth: dict[str, Any]) -> set[str]:
-    """What may be answered, as kind and places; a payload on the last link is that link with more in it."""
-    place = " ".join(truth["place"])
-    return {
-        "none": {"none"}, "part": {f"part {place}"}, "mass": {f"link {place}"}, "centre": {f"link {place}"},
-        "payload": {f"payload {place}", f"link {place}"}, "tilt": {"tilt"}, "constant": {f"constant {place}"},
-        "two": {f"{kind} {names}" for kind in ("pair", "several")
-                for names in (place, " ".join(reversed(truth["place"])))},
-        "several": set(),
-    }[truth["kind"]]  # fmt: skip
 
 
 def _deviations(truth: dict[str, Any], bodies: Any) -> list[float]:

@@ -6,13 +6,15 @@ Text given to a page is plain and is escaped. HTML of our own (a figure, a symbo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
+
+from nmt_record.bag.bag_keys import SIMULATED_RIG
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,18 @@ class Table:
     rows: Sequence[Row]
     note: str = ""
     heading: str = ""
+
+
+def subtitle(run: Mapping[str, Any], description: str) -> str:
+    """What stands below a rig's name: its description, and that it is simulated where the run says so.
+
+    Args:
+        run: start record of a recording.
+        description: of the rig; may be empty.
+    """
+    if run.get("device") != SIMULATED_RIG:
+        return description
+    return f"Simulated rig: {description}" if description else "Simulated rig"
 
 
 def render(template: str, **values: Any) -> str:

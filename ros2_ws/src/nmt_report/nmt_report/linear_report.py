@@ -17,9 +17,8 @@ from nmt_extract.linear.file import synthesis_correlation
 from nmt_extract.linear.residuals import modal_receptance
 from nmt_extract.linear.results import LinearMode, LinearTest
 from nmt_extract.modal.quantities import estimated_mass
-from nmt_record.exchange.sidecar.channel_tolerances import is_simulated
 from nmt_report.figure_parts import plot_panels, report_figure
-from nmt_report.html_page import Table
+from nmt_report.html_page import Table, subtitle
 from nmt_report.quantity_format import duration, plain, significant, uncertain
 from nmt_report.response_page import ResponsePage, text_table
 from nmt_report.svg import BLUE, GREEN, INK, MUTED, ORANGE, RED, ReportFigure, figure_style
@@ -133,7 +132,7 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
     page = ResponsePage(
         kicker="Linear modal test",
         heading=name,
-        subtitle="" if rig is None else ("Simulated rig: " if is_simulated(result.run) else "") + rig.description,
+        subtitle=subtitle(result.run, "" if rig is None else rig.description),
         verdict=(text, kind),
         cards=cards,
         facts=facts,

@@ -18,10 +18,9 @@ from nmt_extract.judgement.uncertainty_budget import UncertaintySource, channel_
 from nmt_extract.modal.harmonics_indicators import any_control, indicators
 from nmt_extract.modal.mode_identity import mode_verdict
 from nmt_plant.real_time import read_histogram
-from nmt_record.exchange.sidecar.channel_tolerances import is_simulated
 from nmt_report.columns import shown_columns, status_text, unit_text
 from nmt_report.exciter_table import exciter_fact, exciter_table
-from nmt_report.html_page import PageColumn, Row, Table, render
+from nmt_report.html_page import PageColumn, Row, Table, render, subtitle
 from nmt_report.quantity_format import (
     duration,
     engineering_exponent,
@@ -48,7 +47,7 @@ def page(data: RunReportData, figures: Mapping[str, Sequence[ReportFigure]]) -> 
         "run_report.html",
         title=f"{run_name(data)}: nonlinear modal test",
         name=run_name(data),
-        description=("Simulated rig: " if is_simulated(data.run) else "") + str(description) if description else "",
+        description=subtitle(data.run, str(description or "")),
         result=run_verdict(data.points, len(data.run.get("plan", {}).get("levels", ())), data.linear),
         faults=_faults(data),
         remarks=_remarks(data),

@@ -91,9 +91,10 @@ def choose_block(
         if share <= _SHARE:
             chosen, cost = length, share
     bandwidth, allowed = wanted_bandwidth(linear, settings), allowed_bandwidth(settings, chosen)
+    verb = "limits it to" if allowed < bandwidth else "allows"
     reason = (
         f"for the mode at {frequency:.4g} Hz a loop without dead time would have a bandwidth of {bandwidth:.3g} rad/s; "
-        f"the dead time of {PHASE.dead_time_blocks:g} blocks limits it to {allowed:.3g} rad/s"
+        f"the dead time of {PHASE.dead_time_blocks:g} blocks {verb} {allowed:.3g} rad/s"
     )
     if chosen > USUAL:
         reason += f"; compared with blocks of {1e3 * USUAL:g} ms a level takes {100.0 * cost:.1f} % longer"

@@ -80,7 +80,7 @@ def sentences(
             "The gap lies in parameters that the model already has.",
             f"{small or 'No unmodelled effect is needed.'} {_common_factor(calibration)}The parameters that moved most "
             f"relative to their uncertainty: {_farthest(calibration)}.",
-            _how_far(gap, "Re-fitting them", f"{gap.before:.2f} with the model as given"),
+            _how_far(gap, "Re-fitting them", f"{gap.before:.2f} with the model as given", "re-fitted"),
         )
     place = where_words(where)
     if verdict is Verdict.UNKNOWN:
@@ -108,7 +108,8 @@ def sentences(
     corrected = "+" not in head.effect and bool(effect_named(head.effect).alters)
     worse = " (which predicts worse)" if gap.before > gap.as_given else ""
     before = f"{gap.as_given:.2f} with the model as given, {gap.before:.2f} with its parameters re-fitted{worse}"
-    far = _how_far(gap, "Correcting it" if corrected else "Adding it", before)
+    what, after = ("Correcting it", "with it corrected") if corrected else ("Adding it", "with it added")
+    far = _how_far(gap, what, before, after)
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
 
 
@@ -254,7 +255,7 @@ def where_words(where: Sequence[PlaceShare]) -> str:
     return text + "."
 
 
-def _how_far(gap: Gap, what: str, before: str) -> str:
+def _how_far(gap: Gap, what: str, before: str, after: str) -> str:
     if not math.isfinite(gap.closed):
         return (
             f"{what} takes the fit from {gap.before:.2f} to {gap.after:.2f} standard deviations (rms; 1 is what "
@@ -270,7 +271,7 @@ def _how_far(gap: Gap, what: str, before: str) -> str:
     interval = f" (90 % interval {limits})" if limits else ""
     return (
         f"{what} closes {closed} of the gap on data held out from the fit{interval}. The residual there, in standard "
-        f"deviations rms: {before}, {gap.after:.2f} after it; scatter alone leaves {gap.floor:.2f}."
+        f"deviations rms: {before}, {gap.after:.2f} {after}; scatter alone leaves {gap.floor:.2f}."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 

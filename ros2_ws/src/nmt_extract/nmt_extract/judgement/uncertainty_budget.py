@@ -403,7 +403,9 @@ def left_out(inputs: BudgetInputs) -> Iterator[str]:
     if inputs.linear.source == "test" and not inputs.linear.shape_stds:
         yield "± does not include the uncertainty of the linear shapes: the bag was recorded without it."
     if inputs.method is None:
-        yield "± does not include the error of single-point excitation; './nmt extract --model-run DIR' adds it."
+        points = len(inputs.linear.exciter_points)
+        where = f"excitation at {points} points" if points > 1 else "single-point excitation"
+        yield f"± does not include the error of {where}; './nmt extract --model-run DIR' adds it."
 
 
 def channel_tolerances_used(inputs: BudgetInputs) -> list[tuple[str, float, float, str]]:

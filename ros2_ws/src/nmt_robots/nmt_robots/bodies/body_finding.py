@@ -35,7 +35,7 @@ _MISFIT = 3.0
 """Pull of a tolerance, in standard deviations, from which the bodies are not as in the file for sure."""
 _IMPLAUSIBLE = 3.5
 _ONE_OF_ALL = 0.005
-"""Probability that one of many numbers is as far off by itself, above which that is plausible."""
+"""Chance that one of several numbers lies so far from the file; a larger chance is plausible."""
 _FEWEST_ROWS = 80
 _WORDS = {
     ("spring", True): "spring at", ("constant", True): "gain or torque constant of",

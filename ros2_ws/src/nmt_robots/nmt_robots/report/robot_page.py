@@ -16,6 +16,7 @@ from nmt_report.response_page import ResponsePage, html_figures, html_table
 from nmt_report.svg import BLUE, MUTED, ORANGE, RED, ReportFigure, figure_style, svg_text
 from nmt_robots.log_faults.finding import is_known
 from nmt_robots.model.robot_model import effort_units, rms_text
+from nmt_robots.report.written_back import changes
 from nmt_robots.verdict.joint_verdict import JointVerdict
 from nmt_robots.verdict.replay import Replay, missed_text
 from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
@@ -70,10 +71,10 @@ def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     read = f"Timing: {diagnosis.reading.text()}."
     more = [f"{len(faults) - _FAULTS} more faults are below."] if len(faults) > _FAULTS else []
     rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["No fault was found."]), *more, read])))
-    name = diagnosis.model.path.with_stem("robot").name
-    rows.append(
-        ("Files", f"{name} holds the changed values, changes.csv lists them; trajectory.csv is the next motion.")
-    )
+    name, listed = diagnosis.model.path.with_stem("robot").name, "trajectory.csv is the next motion."
+    if changes(diagnosis):
+        listed = f"{name} holds the changed values, changes.csv lists them; {listed}"
+    rows.append(("Files", listed))
     return rows
 
 

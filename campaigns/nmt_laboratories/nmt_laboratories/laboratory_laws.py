@@ -139,7 +139,7 @@ def _laws(family: str, case: dict[str, Any], draw: np.random.Generator) -> list[
 
 def make_beam_case(folder: Path, family: str, seed: int) -> None:
     """Write one case of the beam, ``truth.yaml`` last."""
-    case = draw_case(seed)
+    case = draw_case(seed, modes=6)
     draw, beam, chain = case["draw"], case["beam"], case["chain"]
     case["largest"] = 1.5e-3 / abs(float(beam.shapes[0, 2]))
     sensor = int(draw.integers(1, len(SENSORS) + 1))

@@ -9,7 +9,9 @@ import numpy as np
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.ledger.comparison import Hypotheses
 from nmt_diagnose.ledger.size import needed
+from nmt_diagnose.search.search import Search
 
 
 def test_a_pick_up_within_its_tolerance_is_no_effect() -> None:
@@ -31,3 +33,35 @@ def test_a_pick_up_within_its_tolerance_is_no_effect() -> None:
     assert small(ordinary, [True], transverse) == [0]
     assert small(large, [True], cubic, transverse) == []
     assert small(ordinary, [False], cubic, transverse) == []  # the bench's own sensors have no tolerances
+
+
+def test_an_effect_that_is_small_in_the_leading_explanation_is_in_every_other() -> None:
+    """Two pick-ups lead that say no more than the model alone; a gain that needs them, too, gets both."""
+    library_of = [
+        SimpleNamespace(cause=name, effect=SimpleNamespace(name=name)) for name in ("pick 1", "pick 2", "gain")
+    ]
+    parametrisation = SimpleNamespace(calibration=(), index_of=lambda k: slice(k, k + 1))
+
+    def explanation(evidence: float, small: set[int], *members: int) -> FittedExplanation:
+        fit: Any = SimpleNamespace(
+            theta=np.arange(3.0), parametrisation=parametrisation, log_evidence=evidence, promised=0.0
+        )
+        added: Any = tuple(library_of[k] for k in members)
+        return FittedExplanation(added, fit, frozenset(small))
+
+    leading, other, weak = explanation(100.0, {0, 1}, 0, 1), explanation(90.0, {0}, 0, 2), explanation(70.0, {0}, 0)
+    hypotheses = Hypotheses(None, weak, [other, weak, leading], [], [], [])  # type: ignore[arg-type]
+    hypotheses.prior = lambda found: 0.0  # type: ignore[method-assign]
+    hypotheses._evidence = lambda found: found.fit.log_evidence  # type: ignore[method-assign]
+    assert hypotheses.best is other
+    assert hypotheses.leading is leading
+
+    search: Any = Search.__new__(Search)
+    search.candidates, search.refit = tuple(library_of), lambda found: found
+
+    def with_added(base: FittedExplanation, score: Any, **_: Any) -> FittedExplanation:
+        return FittedExplanation((*base.candidates, search.candidates[score.candidate]), base.fit)
+
+    search.with_added = with_added
+    (more,) = search.with_small_effects(leading, [leading, other, weak])
+    assert [candidate.effect.name for candidate in more.candidates] == ["pick 1", "gain", "pick 2"]

@@ -173,9 +173,9 @@ class Run:
 
     def __post_init__(self) -> None:
         if not self.state.size:
-            self.rest()
+            self.stop()
 
-    def rest(self) -> None:
+    def stop(self) -> None:
         """Begin at rest."""
         self.state = np.zeros(2 * self.beam.omega2.size)
 
@@ -383,11 +383,11 @@ def make_case(out: Path, seed: int) -> str:
             force, length = np.zeros(round(3.0 * RATE)), round(0.004 * RATE)
             at = round(0.05 * RATE)
             force[at : at + length] = share * 12.0 * np.sin(math.pi * np.arange(length) / length)
-            test.rest()
+            test.stop()
             start = begin
             stop = add(force, test.driven_by(force))
             segments.append({"kind": "record", "start": round(start, 6), "stop": round(stop - 1.5 / RATE, 6)})
-        test.rest()
+        test.stop()
     else:
         lines = np.fft.rfft(draw.standard_normal(round(24.0 * RATE)))
         hertz = np.fft.rfftfreq(round(24.0 * RATE), 1.0 / RATE)

@@ -381,6 +381,11 @@ class Hypotheses:
         """The most probable explanation."""
         return max(self.stated, key=self._weight, default=None)
 
+    @property
+    def leading(self) -> FittedExplanation | None:
+        """The most probable of all that was fitted, whether it says more than the model alone or not."""
+        return max(self.named, key=self._weight, default=None)
+
     def _weight(self, found: FittedExplanation) -> float:
         return self._evidence(found) + self.prior(found)
 

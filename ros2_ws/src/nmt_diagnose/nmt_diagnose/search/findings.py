@@ -176,9 +176,9 @@ def find(
     data = search.data
     own_chain = OwnChains(rig, observations, data, state.leader)
     named = [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in named]
-    leading = Hypotheses(data, null, named, candidates, [], []).best
+    leading = Hypotheses(data, null, named, candidates, [], []).leading
     if leading is not None and leading.small:
-        # An effect that is small with the leading cause is small with every other: rivals get it, too.
+        # An effect that is small in the leading explanation is small in every other: rivals get it, too.
         more = search.with_small_effects(leading, named)
         named += [needed(data, explanation, [null, *named], settings.matters, own_chain) for explanation in more]
     unnamed = sources(data, null, len(parameters))

@@ -532,19 +532,22 @@ class Search:
     def with_small_effects(
         self, leading: FittedExplanation, others: Sequence[FittedExplanation]
     ) -> list[FittedExplanation]:
-        """Other explanations by one effect, with the small effects of the leading one added, fitted to the end."""
+        """Other explanations that state an effect, with all small effects of the leading one, fitted to the end."""
         known = {explanation.fitted for explanation in others}
         found = []
-        for k in sorted(leading.small):
-            candidate = leading.candidates[k]
-            start = leading.fit.theta[leading.fit.parametrisation.index_of(k)]
-            initial = Score(self.candidates.index(candidate), start, math.nan, math.nan, np.zeros(0))
-            for other in others:
-                both = Explanation((*other.fitted.causes, candidate.cause))
-                if len(other.candidates) == 1 and other.stated and both not in known:
-                    found.append(self.with_added(other, initial, name=StartName.SMALL))
-                    known.add(both)
-        return [self.refit(explanation) for explanation in found if explanation is not None]
+        for other in (explanation for explanation in others if explanation.stated):
+            both: FittedExplanation | None = other
+            for k in sorted(leading.small):
+                candidate = leading.candidates[k]
+                if both is None or candidate.cause in both.fitted.causes:
+                    continue
+                start = leading.fit.theta[leading.fit.parametrisation.index_of(k)]
+                initial = Score(self.candidates.index(candidate), start, math.nan, math.nan, np.zeros(0))
+                both = self.with_added(both, initial, name=StartName.SMALL)
+            if both is not None and both.fitted not in known:
+                found.append(both)
+                known.add(both.fitted)
+        return [self.refit(explanation) for explanation in found]
 
     def fitted(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
         """Candidates fitted on top of a fit from where the score test puts them, the best first."""

@@ -127,6 +127,23 @@ def test_the_zero_of_a_sensor_is_an_error_of_the_record(tmp_path: Path) -> None:
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
 
 
+def test_the_gain_of_a_channel_is_one_error_of_all_records(tmp_path: Path) -> None:
+    """A sensor that shows too much: more of its own channel, and of the drive less response to what it shows."""
+    rig = rig_in(tmp_path)
+    volts = band_noise(4096, 1, 0.02)
+    bag = imported(tmp_path, volts, linear_response(volts), [(0, 2048), (2048, 4096)])
+    observations = read_observations([bag], rig)
+    errors = record_errors(observations, rig)
+    response = Forward(observations.tests, observations.rows).predict(rig).values
+    gains = [name for name in errors if name.startswith("gain ")]
+    drive = f"gain {observations.tests[0].record.input_channel.name}"  # type: ignore[union-attr]
+    assert len(gains) == 2
+    assert drive in gains
+    for name in gains:
+        sign = -1.0 if name == drive else 1.0
+        assert errors[name] == pytest.approx(sign * TOLERANCES.gain * response, abs=1e-4 * np.abs(response).max())
+
+
 def test_the_delay_of_a_channel_is_one_error_of_all_records(tmp_path: Path) -> None:
     """Of a standard deviation the error changes the samples as the same delay of the sensor does."""
     rig = rig_in(tmp_path)

@@ -240,6 +240,17 @@ def test_every_parameter_of_these_structures_may_be_refitted():
     assert "exciter.acceleration_per_volt_m_s2" in [p.name for p in calibration_parameters(on_table)]
 
 
+def test_the_springs_that_carry_a_free_beam_are_no_better_known_than_others() -> None:
+    """Else the mass of the beam is as well known as its lowest frequency, and every strength with it."""
+    structure = {"kind": "beam", "boundary": "free-free", "length_m": 1.0, "width_m": 0.03, "height_m": 0.008,
+                 "youngs_modulus_pa": 2.05e11, "density_kg_m3": 7850.0, "elements": 6, "stiffness_damping_s": 6e-5,
+                 "suspension_stiffness_n_m": 900.0, "suspension_damping_ns_m": 0.6}  # fmt: skip
+    free = chain(structure=structure, exciter={"kind": "force", "point": 2})
+    found = {parameter.name: parameter for parameter in calibration_parameters(free)}
+    for key in ("suspension_stiffness_n_m", "suspension_damping_ns_m"):
+        assert found[f"structure.{key}"].place == "boundary"
+
+
 @pytest.mark.parametrize("make", [modal, matrices])
 def test_a_drifting_stiffness_moves_all_frequencies(make):
     """c and m stay: the sticking structure's frequencies grow with the root of the stiffness."""

@@ -118,6 +118,8 @@ MODEL_PRIORS: dict[str, Prior] = {
     "stiffness_damping_s": Prior(0.2, "material damping is known within tens of percent only"),
     "clamp_rotational_stiffness_nm_rad": Prior(0.2, "estimated from a static test at best"),
     "clamp_lateral_stiffness_n_m": Prior(0.2, "estimated from a static test at best"),
+    "suspension_stiffness_n_m": Prior(0.1, "soft springs or cords, by their sag"),
+    "suspension_damping_ns_m": Prior(0.3, "damping of a model is a guess"),
     "compliance_m_n": Prior(0.2, "estimated from a static test at best"),
     "rotational_compliance_rad_nm": Prior(0.2, "estimated from a static test at best"),
     "masses_kg": Prior(0.01, "weighed, but screws, cables and adhesive come on top"),

@@ -80,6 +80,10 @@ class ModeFactor(CalibrationParameter):
 # Coil suspension: so stiff that no test of the bench sees it.
 # An exponent of a power-law distribution is greater than −1.
 _OFFSETS = {"exponent": 1.0}
+_SUPPORT_KEYS = (
+    "clamp_rotational_stiffness_nm_rad", "clamp_lateral_stiffness_n_m", "suspension_stiffness_n_m",
+    "suspension_damping_ns_m",
+)  # fmt: skip
 _SHAKER_KEYS = (
     "table_mass_kg", "table_stiffness_n_m", "table_damping_ns_m", "coil_mass_kg", "force_factor_n_a",
     "resistance_ohm", "inductance_h",
@@ -106,7 +110,7 @@ def calibration_parameters(rig: Rig) -> tuple[CalibrationParameter, ...]:
     if isinstance(structure, BeamSection):
         for key in ("youngs_modulus_pa", "density_kg_m3", "stiffness_damping_s"):
             add(("structure", key), "structure")
-        for key in ("clamp_rotational_stiffness_nm_rad", "clamp_lateral_stiffness_n_m"):
+        for key in _SUPPORT_KEYS:
             add(("structure", key), "boundary")
     elif isinstance(structure, ChainSection):
         for key in ("masses_kg", "springs_n_m", "dampers_ns_m", "ground_springs_n_m", "ground_dampers_ns_m"):

@@ -110,7 +110,7 @@ class SamplePredictor(Predictor):
         for number, channel in enumerate(self.channels):
             selected = (self.rows.part == Part.SAMPLE) & (self.rows.channel == number)
             found[f"zero of {channel.name} in {self.test.name}"] = float(self.test.zeros[1 + number]) * selected
-            found[f"gain of {channel.name} in {self.test.name}"] = chain.of(channel.name).gain * values * selected
+            found[f"gain {channel.name}"] = chain.of(channel.name).gain * values * selected
             found[f"delay {channel.name}"] = later * selected
         return found
 
@@ -172,10 +172,11 @@ class RecordPredictor(SamplePredictor):
             if source > 0.0:
                 moved = self._stepped(parts, rate, substeps, offset=_ERROR_STEP * source)[0]
                 found[f"zero of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
-            louder = _ERROR_STEP * chain.of(self.test.input_channel.name).gain
-            if louder > 0.0:
-                moved = self._stepped(parts, rate, substeps, louder=louder)[0]
-                found[f"gain of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
+            # What the sensor shows too large is smaller; the gain of a channel is one error of all tests.
+            quieter = -_ERROR_STEP * chain.of(self.test.input_channel.name).gain
+            if quieter < 0.0:
+                moved = self._stepped(parts, rate, substeps, louder=quieter)[0]
+                found[f"gain {self.test.input_channel.name}"] = change(moved)
             found |= self._sensor_errors(raw, parts, rate / self.test.head_stride, chain)
         for number, error in enumerate(initial.errors):
             moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]

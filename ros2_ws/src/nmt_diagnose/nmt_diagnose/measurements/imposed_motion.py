@@ -141,9 +141,13 @@ class ImposedMotionPredictor(SamplePredictor):
         test = self.test
         base = self._responses(rig, cache, test.motion)
         found: dict[str, FloatArray] = {}
-        for what, moved in (("zero", test.with_zero(_ERROR_STEP)), ("gain", test.with_gain(_ERROR_STEP))):
-            change = (self._responses(rig, cache, moved) - base) / _ERROR_STEP
-            found[f"{what} of {test.input_channel.name} in {test.name}"] = self._of_rows(change)
+        name = test.input_channel.name
+        # What the sensor shows too large is smaller; the gain of a channel is one error of all tests.
+        for error, moved in (
+            (f"zero of {name} in {test.name}", test.with_zero(_ERROR_STEP)),
+            (f"gain {name}", test.with_gain(-_ERROR_STEP)),
+        ):
+            found[error] = self._of_rows((self._responses(rig, cache, moved) - base) / _ERROR_STEP)
         return found | self._sensor_errors(*self._raw(rig, cache, test.motion), chain)
 
     def _responses(self, rig: Rig, cache: PartsCache, motion: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ pseudo-inertias, whose accelerations are second differences of the frames over t
 In ``./nmt shell``, 72 clean cases and 48 with ripple, drift and friction that falls
 with speed, which the product does not fit with the bodies::
 
-    python -m nmt_laboratories.body_cases [--dirty] [--seeds N] [--kinds KIND …]
+    python -m nmt_laboratories.body_cases [--dirty] [--seeds N] [--first SEED] [--kinds KIND …]
 """
 
 from __future__ import annotations
@@ -307,14 +307,14 @@ def answers(truth: Truth) -> set[str]:
     return {f"{truth.kind} {truth.place}".strip()}
 
 
-def tally(seeds: int, dirty: bool, kinds: tuple[str, ...] = KINDS) -> tuple[Counter[str], list[str]]:
+def tally(seeds: range, dirty: bool, kinds: tuple[str, ...] = KINDS) -> tuple[Counter[str], list[str]]:
     """Counts of the verdicts, and a line for each case."""
     from nmt_robots.bodies.body_finding import body_finding
     from nmt_robots.log.joint_log import JointLog
     from nmt_robots.model.robot_model import RobotModel
 
     counts, lines = Counter[str](), []
-    for seed in range(seeds):
+    for seed in seeds:
         for robot in ROBOTS:
             for kind in kinds:
                 case = make_case(robot, kind, seed, dirty)
@@ -345,9 +345,11 @@ def main() -> None:
     parser = command_parser(__doc__)
     parser.add_argument("--dirty", action="store_true")
     parser.add_argument("--seeds", type=int, default=0)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kinds", nargs="*", default=KINDS)
     asked = parser.parse_args()
-    counts, _ = tally(asked.seeds or (2 if asked.dirty else 3), asked.dirty, tuple(asked.kinds))
+    count = asked.seeds or (2 if asked.dirty else 3)
+    counts, _ = tally(range(asked.first, asked.first + count), asked.dirty, tuple(asked.kinds))
     print(dict(counts))
 
 

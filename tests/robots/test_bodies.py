@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from nmt_laboratories.body_cases import GRAVITY, Case, chain, make_case, tally, torque_of, urdf_of
+from nmt_laboratories import body_cases
+from nmt_laboratories.body_cases import GRAVITY, Body, Case, Truth, chain, make_case, tally, torque_of, urdf_of
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
@@ -178,14 +181,14 @@ def test_the_written_robot_has_no_foot(without_foot: tuple[Any, Path]) -> None:
 
 @pytest.mark.campaign
 def test_sealed_bodies_are_right_and_never_wrong() -> None:
-    counts, lines = tally(3, dirty=False)
+    counts, lines = tally(range(3), dirty=False)
     assert counts["wrong"] == 0, lines
     assert counts["right"] >= 66, lines
 
 
 @pytest.mark.campaign
 def test_sealed_bodies_with_ripple_and_drift() -> None:
-    counts, lines = tally(2, dirty=True)
+    counts, lines = tally(range(2), dirty=True)
     assert counts["wrong"] <= 1, lines
     assert counts["right"] >= 36, lines
 
@@ -217,3 +220,35 @@ def test_a_link_and_a_payload_on_it_are_one_claim(tmp_path: Path) -> None:
     found = finding_of(make_case("leg", "mass", 2), tmp_path / "leg.urdf")
     assert found.kind in ("link", "payload")
     assert found.claimed
+
+
+def test_links_that_are_all_off_are_not_one_or_two(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def all_off(bodies: list[Body], _: str, rng: np.random.Generator) -> tuple[list[Body], Any, Any, Truth]:
+        moved = [
+            replace(body, mass=factor * body.mass, inertia=factor * body.inertia,
+                    centre=body.centre + 0.01 * rng.standard_normal(3))
+            for body in bodies
+            for factor in [float(np.exp(0.12 * rng.standard_normal()))]
+        ]  # fmt: skip
+        return moved, GRAVITY, np.ones(3), Truth("several")
+
+    monkeypatch.setattr(body_cases, "changed", all_off)
+    found = finding_of(make_case("leg", "two", 6, dirty=True), tmp_path / "leg.urdf")
+    assert found.subjects == ("several link1 link2 link3",)
+
+
+@pytest.mark.parametrize(("rises", "kind"), [(1.0, "pair"), (8.0, "part")])
+def test_a_light_part_is_off_only_where_the_torque_says_so(rises: float, kind: str) -> None:
+    """What a link lacks is uncertain by more than the part weighs, and other links explain most of the torque."""
+    pair = BodyExplanation("pair", ((0, EVERY), (1, EVERY)))
+    evidences = {-1: 0.0, 0: rises}
+    numbers, loose = np.zeros(SHAPE), np.full(SHAPE, 0.1)
+    best = SimpleNamespace(explanation=pair, evidence=0.5, of_link=lambda link: (numbers, loose, loose))
+
+    def weigh(item: BodyExplanation) -> Any:
+        return SimpleNamespace(explanation=item, evidence=evidences[item.off])
+
+    asked: Any = object.__new__(module._Asked)
+    asked._evidence = SimpleNamespace(shapes=SimpleNamespace(masses=np.ones(2)), weigh=weigh)
+    asked._parts = [SimpleNamespace(link=1, mass=0.015)]
+    assert asked._structured(best).explanation.kind == kind

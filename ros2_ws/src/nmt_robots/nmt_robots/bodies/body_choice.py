@@ -41,7 +41,7 @@ _NAMED, _TOGETHER = 0.9, 0.95
 """Probability of one subject that is named, and of several that cannot be told apart."""
 _SURELY = 0.99
 """Of a payload and its link: share from which it is a payload; below, the link differs, which is true of both."""
-_RISES = 3.0
+RISES = 3.0
 """ln evidence by which a further link has to be better."""
 _PAIRED = 6
 """Links of highest evidence of which pairs are made."""
@@ -49,6 +49,8 @@ _PAIRED = 6
 
 MASS, CENTRE, BOTH, EVERY = (0,), (1, 2, 3), (0, 1, 2, 3), tuple(range(SHAPE))
 _VARIANTS = (MASS, CENTRE, BOTH, EVERY)
+_OF_ALL = (BOTH, EVERY)
+"""The same where all links are off: whoever has drawn them has no mass without its place."""
 
 
 @dataclass(frozen=True)
@@ -310,7 +312,10 @@ class BodyEvidence:
         width = self.rows.left.shape[1]
         asked += [(BodyExplanation("constant", joint=joint), _PRIOR["constant"] / width) for joint in range(width)]
         asked += [(BodyExplanation("spring", joint=joint), _PRIOR["spring"] / width) for joint in range(width)]
-        asked.append((BodyExplanation("all", tuple((link, EVERY) for link in links)), _PRIOR["all"]))
+        asked += [
+            (BodyExplanation("all", tuple((link, numbers) for link in links)), _PRIOR["all"] / len(_OF_ALL))
+            for numbers in _OF_ALL
+        ]
         asked += [
             (BodyExplanation("part", off=off), _PRIOR["part"] / len(self.parts)) for off in range(len(self.parts))
         ]
@@ -359,7 +364,7 @@ class BodyEvidence:
         """
         every = next((key for key in subjects if key[0] == "all"), None)
         if every is not None and 1.0 - _TOGETHER < subjects[every] < _NAMED:
-            needed = self.grown(every[1]).explanation.links
+            needed = self.grown(best[every].explanation).explanation.links
             some = next((key for key in subjects if key[0] == "pair" and key[1] == needed), None)
             if some is not None:
                 subjects[some] += subjects.pop(every)
@@ -375,16 +380,16 @@ class BodyEvidence:
                 subjects[link] = total
         return same
 
-    def grown(self, links: Sequence[int]) -> Weighed:
-        """Links added one by one to none while the evidence rises."""
+    def grown(self, every: BodyExplanation) -> Weighed:
+        """Links of an explanation added one by one to none while the evidence rises."""
         found = self.weigh(BodyExplanation("none"))
         while True:
             more = [
-                self.weigh(BodyExplanation("several", tuple(sorted((*found.explanation.wide, (link, EVERY))))))
-                for link in links
-                if link not in found.explanation.links
+                self.weigh(BodyExplanation("several", tuple(sorted((*found.explanation.wide, link)))))
+                for link in every.wide
+                if link not in found.explanation.wide
             ]
             further = max(more, key=lambda item: item.evidence, default=None)
-            if further is None or further.evidence < found.evidence + _RISES:
+            if further is None or further.evidence < found.evidence + RISES:
                 return found
             found = further

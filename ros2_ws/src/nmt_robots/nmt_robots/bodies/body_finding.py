@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import norm
 
 from nmt_core.text.number_words import percent, value_text
-from nmt_robots.bodies.body_choice import EVERY, TOLERANCE, BodyChoice, BodyEvidence, BodyExplanation, Weighed
+from nmt_robots.bodies.body_choice import EVERY, RISES, TOLERANCE, BodyChoice, BodyEvidence, BodyExplanation, Weighed
 from nmt_robots.bodies.body_rows import UNSEEN, BodyRows, Whitened, across, body_rows, free_spread, whitened
 from nmt_robots.bodies.body_shape import SHAPE, moved_body
 from nmt_robots.bodies.robot_parts import MountedPart, last_links, parts_of
@@ -228,11 +228,11 @@ class _Asked:
                     continue
                 # Nothing is free in a part that is off: it need not explain as much as a link with ten numbers.
                 trial = evidence.weigh(BodyExplanation("part", others, off=place))
-                if trial.evidence - without > _AS_MUCH * (best.evidence - without):
+                if trial.evidence - without > max(RISES, _AS_MUCH * (best.evidence - without)):
                     return trial
         if explanation.kind != "all":
             return best
-        found = evidence.grown(explanation.links)
+        found = evidence.grown(explanation)
         return found if found.explanation.wide else best
 
     def _claimed(self, base: BodyFinding, best: Weighed) -> BodyFinding:

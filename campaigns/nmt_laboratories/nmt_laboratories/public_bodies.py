@@ -196,7 +196,6 @@ def make_case(robot: str, kind: str, seed: int, dirty: bool, folder: Path) -> di
     plain = _torque(pin, given, names, q, v, a, np.array([0.0, 0.0, -9.81]))
     acting = _torque(pin, real, names, q, v, a, gravity)
     size = np.sqrt(np.mean(plain**2, axis=0))
-    truth["effect"] = np.sqrt(np.mean((acting * factor - plain) ** 2, axis=0) / size**2).tolist()
     # A joint that carries little has friction of its drive all the same.
     drive = np.maximum(size, 0.05 * np.max(size))
     coulomb, damping = rng.uniform(0.04, 0.1, count) * drive, rng.uniform(0.01, 0.03, count) * drive
@@ -207,6 +206,9 @@ def make_case(robot: str, kind: str, seed: int, dirty: bool, folder: Path) -> di
         friction = friction + 0.014 * size * np.sin(rng.integers(5, 12, count) * q + phase[:, 0])
         friction = friction + 0.02 * size * (rows[:, None] / SECONDS - 0.5)
     measured = (acting + friction) * factor + 0.005 * size * rng.standard_normal(q.shape)
+    # Of all torque: a wrist that carries nothing has little else than friction.
+    differs, whole = (np.sqrt(np.mean(values**2, axis=0)) for values in (acting * factor - plain, measured))
+    truth["effect"] = (differs / whole).tolist()
     counts = 2.0 * np.pi / 2**18
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(text, encoding="utf-8")

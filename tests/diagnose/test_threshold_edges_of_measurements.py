@@ -24,8 +24,13 @@ from nmt_diagnose.fit.noise import sigma_of
 from nmt_diagnose.ledger.comparison import Comparison, EquivalentClass
 from nmt_diagnose.ledger.held_out import splits
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.driven_record import head_of, record_observations, start_of, white_noise
-from nmt_diagnose.measurements.imposed_motion import independent_values
+from nmt_diagnose.measurements.driven_record import (
+    head_of,
+    independent_values,
+    record_observations,
+    start_of,
+    white_noise,
+)
 from nmt_diagnose.measurements.locked_reading import Cell, UsedWindows, add_rows_of_channels, moderate
 from nmt_diagnose.measurements.measurement import LevelSeries
 from nmt_diagnose.measurements.random_reading import lines_of, response_table_observations

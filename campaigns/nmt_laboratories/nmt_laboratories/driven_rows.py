@@ -1,7 +1,7 @@
-"""Rows of masses that a measured force drives, with a missing force at one place, by average acceleration.
+"""Rows of masses that a measured force drives, with a missing force at one place or at two, by average acceleration.
 
-Newmark's rule with the missing force solved for at the end of each step, twenty steps to a sample: stiff friction is as
-stable as a spring. Nothing here comes from the bench.
+Newmark's rule with the missing forces solved for at the end of each step, in turn, twenty steps to a sample: stiff
+friction is as stable as a spring. Nothing here comes from the bench.
 """
 
 from __future__ import annotations
@@ -51,23 +51,64 @@ def force_of(kind: int, x: float, v: float, a: float, b: float, before: float, s
 
 
 @njit(cache=True)
-def missing_force(kinds: Array, numbers: Array, memory: Array, after: Array, x: float, v: float, step: float) -> float:
-    """Sum of some laws; numbers are their sizes and two numbers each."""
+def missing_force(
+    kinds: Array, numbers: Array, memory: Array, after: Array, x: float, v: float, step: float, mine: Array
+) -> float:
+    """Sum of the laws of one place; numbers are their sizes and two numbers each."""
     total = 0.0
     for k in range(kinds.size):
-        value, after[k] = force_of(kinds[k], x, v, numbers[k, 1], numbers[k, 2], memory[k], step)
-        total += numbers[k, 0] * value
+        if mine[k]:
+            value, after[k] = force_of(kinds[k], x, v, numbers[k, 1], numbers[k, 2], memory[k], step)
+            total += numbers[k, 0] * value
     return total
 
 
 @njit(cache=True)
+def balanced(
+    x0: float,
+    v0: float,
+    own: float,
+    kinds: Array,
+    numbers: Array,
+    memory: Array,
+    after: Array,
+    step: float,
+    mine: Array,
+) -> float:
+    """Force g of one place, at which it moves by x₀ and v₀ less what g accelerates it by, ``own`` for 1 N."""
+    size = numbers[:, 0].sum() + 1e-30
+    # Of the residual g − law(x(g), v(g)): it grows with g.
+    g, low, high = 0.0, -1e4 * size, 1e4 * size
+    below, above = low, high
+    for turn in range(200):
+        x, v = x0 - 0.25 * step**2 * own * g, v0 - 0.5 * step * own * g
+        law = missing_force(kinds, numbers, memory, after, x, v, step, mine)
+        if abs(g - law) <= 1e-10 * size:
+            break
+        if g > law:
+            high = g
+            above = g - law
+        else:
+            low = g
+            below = g - law
+        if turn % 3 == 2 or high - low > 100.0 * size:
+            g = law if low < law < high and turn < 2 else 0.5 * (low + high)
+        else:
+            g = low - below * (high - low) / (above - below)
+    return g
+
+
+@njit(cache=True)
 def integrated(
-    m: Array, c: Array, k: Array, at: Array, drive: Array, kinds: Array, numbers: Array, step: float, every: int
-) -> tuple[Array, Array, Array, Array]:
-    """Displacements, speeds and accelerations (samples, n) and the missing force at every so many steps."""
-    n, count = m.shape[0], drive.size
+    m: Array, c: Array, k: Array, at: Array, drive: Array, kinds: Array, numbers: Array, owners: Array, step: float,
+    every: int,
+) -> tuple[Array, Array, Array, Array]:  # fmt: skip
+    """Displacements, speeds and accelerations (samples, n) and the missing forces (samples, places) at every so many
+    steps; ``owners`` are the places of the laws, ``at`` (places, n)."""
+    (places, n), count = at.shape, drive.size
     left = np.linalg.inv(m + 0.5 * step * c + 0.25 * step**2 * k)
-    pushed = left @ at
+    pushed = at @ left
+    own = pushed @ at.T
     q, rate = np.zeros(n), np.zeros(n)
     memory, after = np.zeros(kinds.size), np.zeros(kinds.size)
     first = np.zeros(n)
@@ -75,7 +116,7 @@ def integrated(
     acceleration = np.linalg.inv(m) @ first
     samples = (count + every - 1) // every
     found_q, found_v, found_a = np.zeros((samples, n)), np.zeros((samples, n)), np.zeros((samples, n))
-    found_g = np.zeros(samples)
+    found_g, g = np.zeros((samples, places)), np.zeros(places)
     size = numbers[:, 0].sum() + 1e-30
     for number in range(count):
         if number > 0:
@@ -84,37 +125,28 @@ def integrated(
             right = -(c @ go_v) - k @ go_q
             right[0] += drive[number]
             free = left @ right
-            low, high = -1e4 * size, 1e4 * size
-            # Of the residual g − law(x(g), v(g)): it grows with g.
-            g = 0.0
-            below, above = low, high
-            for turn in range(200):
-                a = free - pushed * g
-                x = at @ (go_q + 0.25 * step**2 * a)
-                v = at @ (go_v + 0.5 * step * a)
-                law = missing_force(kinds, numbers, memory, after, x, v, step)
-                if abs(g - law) <= 1e-10 * size:
+            for _ in range(50 if places > 1 else 1):
+                moved = 0.0
+                for place in range(places):
+                    pull = at[place] @ free
+                    for other in range(places):
+                        if other != place:
+                            pull -= own[place, other] * g[other]
+                    x0 = at[place] @ go_q + 0.25 * step**2 * pull
+                    v0 = at[place] @ go_v + 0.5 * step * pull
+                    found = balanced(x0, v0, own[place, place], kinds, numbers, memory, after, step, owners == place)
+                    moved = max(moved, abs(found - g[place]))
+                    g[place] = found
+                if moved <= 1e-9 * size:
                     break
-                if g > law:
-                    high = g
-                    above = g - law
-                else:
-                    low = g
-                    below = g - law
-                if turn % 3 == 2 or high - low > 100.0 * size:
-                    g = law if low < law < high and turn < 2 else 0.5 * (low + high)
-                else:
-                    g = low - below * (high - low) / (above - below)
-            acceleration = free - pushed * g
+            acceleration = free - g @ pushed
             q = go_q + 0.25 * step**2 * acceleration
             rate = go_v + 0.5 * step * acceleration
             for i in range(kinds.size):
                 memory[i] = after[i]
-        else:
-            g = 0.0
         if number % every == 0:
-            place = number // every
-            found_q[place], found_v[place], found_a[place], found_g[place] = q, rate, acceleration, g
+            sample = number // every
+            found_q[sample], found_v[sample], found_a[sample], found_g[sample] = q, rate, acceleration, g
     return found_q, found_v, found_a, found_g
 
 
@@ -155,10 +187,21 @@ OUTSIDE = {
 }
 
 
+EFFECTS = {
+    "friction": ("second_friction_contact",), "slider": ("second_friction_contact", "microslip"),
+    "drag": ("air_drag", "power_law_damping"), "cubic": ("cubic_stiffness",), "clearance": ("two_sided_gap",),
+    "stop": ("one_sided_stop",),
+}  # fmt: skip
+"""Laws that the diagnosis has as effects, with their names."""
+
+
 def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
-    """One case: rig file, record, sidecar and truth."""
+    """One case: rig file, record, sidecar and truth.
+
+    A pair has two laws of the library at two places, and 1 to 5 % of white noise on every channel.
+    """
     random = np.random.default_rng(seed)
-    count = int(random.integers(1, 5))
+    count = max(int(random.integers(1, 5)), 2 if group == "pair" else 1)
     masses = 10.0 ** random.uniform(-0.7, 0.7) * random.uniform(0.6, 1.4, count)
     slowest = 2.0 * math.pi * random.uniform(1.5, 5.0)
     springs = float(masses.mean()) * slowest**2 * random.uniform(2.0, 5.0, count - 1)
@@ -176,10 +219,20 @@ def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
         matrix[0, 0] += first
         for i, value in enumerate(between):
             matrix[i : i + 2, i : i + 2] += value * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    at = np.zeros(count)
-    at[place[0] - 1] = 1.0
-    if place[1]:
-        at[place[1] - 1] = -1.0
+    places = [place]
+    if group == "pair":
+        bare = False
+        others = [(p, 0) for p in range(1, count + 1)] + [(p + 1, p) for p in range(1, count)]
+        others = [other for other in others if other != place]
+        places.append(others[int(random.integers(len(others)))])
+        noise = response_noise = float(np.exp(random.uniform(math.log(0.01), math.log(0.05))))
+    else:
+        response_noise = 3e-4
+    at = np.zeros((len(places), count))
+    for row, (point, other) in zip(at, places, strict=True):
+        row[point - 1] = 1.0
+        if other:
+            row[other - 1] = -1.0
     time_s = np.arange(int(RATE * SECONDS) * STEPS) / (RATE * STEPS)
     natural = np.sqrt(np.linalg.eigvals(np.linalg.solve(np.diag(masses), k)).real) / (2.0 * math.pi)
     drive = np.zeros_like(time_s)
@@ -188,23 +241,26 @@ def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
         drive += random.uniform(0.5, 1.0) * np.sin(2.0 * math.pi * turns + random.uniform(0.0, 6.3))
     drive *= 10.0 ** random.uniform(-1.0, 1.0) * (0.4 + 0.6 * time_s / SECONDS)
     kinds, numbers = np.zeros(0, np.int64), np.zeros((0, 3))
-    families: tuple[str, ...] = ()
-    exact = (np.diag(masses), c, k, at, drive)
-    q, v, acceleration, missing = integrated(*exact, kinds, numbers, 1.0 / (RATE * STEPS), STEPS)
+    families: list[str] = []
+    owners = np.zeros(0, np.int64)
+    exact, times = (np.diag(masses), c, k, at, drive), (1.0 / (RATE * STEPS), STEPS)
+    q, v, acceleration, missing = integrated(*exact, kinds, numbers, owners, *times)
     share, chosen = random.uniform(0.2, 0.8), float(random.random())
     if group != "healthy":
-        table = LIBRARY if group == "library" else OUTSIDE
-        law = table[sorted(table)[int(random.integers(len(table)))]]
-        families = law.families
-        kinds = np.array([kind for kind, _ in law.terms])
+        table = OUTSIDE if group == "outside" else LIBRARY
+        names = sorted(table) if group != "pair" else list(EFFECTS)
+        laws = [table[names[int(random.integers(len(names)))]] for _ in places]
+        families = [family for law in laws for family in law.families]
+        terms = [(owner, *term) for owner, law in enumerate(laws) for term in law.terms]
+        owners, kinds = np.array([owner for owner, _, _ in terms]), np.array([kind for _, kind, _ in terms])
         # The law changes the motion that its numbers are shares of.
         for _ in range(3):
-            a, s = float(np.abs(q @ at).max()), float(np.abs(v @ at).max())
+            a, s = np.abs(q @ at.T).max(axis=0), np.abs(v @ at.T).max(axis=0)
             size = share * float(np.std(drive)) / len(kinds)
-            rows = [(size * (2.0 if kind in (POWER, CUBE, GAP, STOP) else 1.0), *term(a, s, chosen))
-                    for kind, term in law.terms]  # fmt: skip
+            rows = [(size * (2.0 if kind in (POWER, CUBE, GAP, STOP) else 1.0), *term(a[owner], s[owner], chosen))
+                    for owner, kind, term in terms]  # fmt: skip
             numbers = np.array(rows, dtype=float)
-            q, v, acceleration, missing = integrated(*exact, kinds, numbers, 1.0 / (RATE * STEPS), STEPS)
+            q, v, acceleration, missing = integrated(*exact, kinds, numbers, owners, *times)
     force = drive[::STEPS] * (1.0 + 0.004 * random.standard_normal())
     columns: dict[str, Any] = {"f": force + noise * float(np.std(force)) * random.standard_normal(force.size)}
     channels = [("f", "force", "N", 1)]
@@ -216,7 +272,7 @@ def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
             continue
         values, unit = quantities[quantity]
         values = values[:, point - 1]
-        columns[f"y{point}"] = values + 3e-4 * float(np.std(values)) * random.standard_normal(values.size)
+        columns[f"y{point}"] = values + response_noise * float(np.std(values)) * random.standard_normal(values.size)
         channels.append((f"y{point}", quantity, unit, point))
     folder.mkdir(parents=True)
     np.savez(folder / "data.npz", **columns)
@@ -240,10 +296,12 @@ def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
         "segments": [{"kind": "record", "start": 0.0, "stop": SECONDS, "held": "force"}],
     }  # fmt: skip
     (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar), encoding="utf-8")
-    np.savez(folder / "truth.npz", x=q @ at, v=v @ at, missing=missing, channel=np.zeros(force.size))
+    np.savez(folder / "truth.npz", x=q @ at[0], v=v @ at[0], missing=missing[:, 0], channel=np.zeros(force.size))
+    said = [f"{point}-{other}" if other else f"{point}" for point, other in places]
     truth = {
-        "group": group, "families": list(families), "seed": seed, "place": f"{place[0]}-{place[1]}" if place[1] else
-        f"{place[0]}", "bare": bool(hidden), "masses": count, "quantity": quantity,
+        "group": group, "families": families, "seed": seed, "place": said[0], "places": said, "bare": bool(hidden),
+        "masses": count, "quantity": quantity, "noise": noise,
+        "shares": [float(np.std(missing[:, k]) / np.std(drive)) for k in range(len(places))],
     }  # fmt: skip
     (folder / "truth.yaml").write_text(yaml.safe_dump(truth), encoding="utf-8")
 

@@ -7,7 +7,9 @@ Run in ``./nmt shell``::
 
 ``make --group following`` makes cases of one group, ``--noise 0.1`` forces with so much white noise, rms over rms, and
 ``--late 0.012`` forces that come so many seconds after the motion; ``--driven`` rows of masses that a measured force
-drives, with the missing force at any place (:mod:`nmt_laboratories.driven_rows`).
+drives, with the missing force at any place (:mod:`nmt_laboratories.driven_rows`). ``make --driven --group pair`` makes
+rows with two laws at two places, of which the whole diagnosis is asked: an answer is right where it names both with
+their places, half where it names one and says that more remains, wrong where it is the whole and another one.
 
 The forces are formulas and recursions of this file alone, twenty steps to a sample. ``make`` writes ``seal.txt``, the
 SHA-256 of all truths; ``read`` refuses others. A case that has an answer is not read again.
@@ -19,6 +21,7 @@ import json
 import math
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,11 +31,13 @@ import yaml
 
 from nmt_bench.data_import import import_data
 from nmt_core.errors import BenchError
-from nmt_diagnose.diagnose import observed
+from nmt_diagnose.diagnose import diagnose_observations, observed
+from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.law.reading import LawReading
 from nmt_diagnose.search.law_starts import law_of
 from nmt_laboratories import driven_rows
 from nmt_laboratories.campaign_frame import seal, sealed_answers, sealed_parser
+from nmt_laboratories.headline_campaign import headline_of, parts_of
 from nmt_rig.rig import load_rig
 
 Array = np.ndarray
@@ -224,6 +229,19 @@ def read_case(folder: Path) -> dict[str, Any]:
     except BenchError as error:
         return {**found, "refusals": [str(error)], "seconds": 0.0}
     begin = time.process_time()
+    if truth["group"] == "pair":
+        diagnosis = diagnose_observations(rig, observations, DiagnosisSettings(jobs=1, look_ahead=False)).diagnosis
+        answer = headline_of(diagnosis)
+        if answer["by"] == "law" and diagnosis.law is not None:
+            answer["names"] = [[family, law.place] for law in diagnosis.law.laws for family in parts_of(law.family)]
+        if answer["by"] == "unknown" and diagnosis.ranking:
+            first = diagnosis.ranking[0]
+            answer["names"] = list(zip(first.effect.split(" + "), first.detail.split(" + "), strict=False))
+        return found | answer | {
+            "seconds": time.process_time() - begin, "places": truth["places"], "masses": truth["masses"],
+            "noise": truth["noise"], "shares": truth["shares"], "sentences": list(diagnosis.sentences),
+            "probability": diagnosis.ranking[0].probability if diagnosis.ranking else 0.0,
+        }  # fmt: skip
     reading = law_of(rig, observations)
     found["seconds"] = time.process_time() - begin
     if reading is None:
@@ -271,6 +289,42 @@ def is_right(line: dict[str, Any]) -> bool:
     """Whether the law that is stated has the place and the families of the truth and no other."""
     at_place = line.get("places") in (None, [line.get("true_place")])
     return bool(line["stated"]) and at_place and sorted(families_of(line)) == sorted(line["true"])
+
+
+def _effects_of(family: str) -> set[str]:
+    """Effects of the diagnosis that a family is."""
+    laws = driven_rows.LIBRARY.items()
+    return {effect for name, law in laws if law.families == (family,) for effect in driven_rows.EFFECTS.get(name, ())}
+
+
+def end_of_pair(line: dict[str, Any]) -> str:
+    """``both``, ``nearest`` (both come nearest), ``one`` with more that remains, ``open`` or ``wrong``."""
+    true = list(zip(line["true"], line["places"], strict=True))
+    names = [(name, str(place)) for name, place in line["names"]]
+
+    def is_one(name: str, place: str) -> bool:
+        places = {place, "-".join(reversed(place.split("-")))}
+        return any(at in places and (name == family or name in _effects_of(family)) for family, at in true)
+
+    found = [is_one(*item) for item in names]
+    if not names:
+        return "wrong" if line["by"] == "none" else "open"
+    if all(found) and len(set(names)) == 2:
+        return "both" if line["by"] != "unknown" else "nearest"
+    if line["whole"]:
+        return "wrong"
+    return "one" if any(found) else "open"
+
+
+def table_of_pairs(lines: Sequence[dict[str, Any]]) -> list[str]:
+    """How the pairs ended."""
+    ends = Counter(map(end_of_pair, lines))
+    seconds = [line["seconds"] for line in lines]
+    return [
+        f"pairs: {ends['both']} of {len(lines)} both, {ends['nearest']} as what comes nearest, "
+        f"{ends['one']} one, {ends['open']} open, {ends['wrong']} wrong",
+        f"CPU a record: median {np.median(seconds):.1f} s, largest {max(seconds):.1f} s",
+    ]
 
 
 def is_open(line: dict[str, Any]) -> bool:
@@ -321,7 +375,7 @@ def main() -> None:
     parser, maker, _ = sealed_parser(__doc__)
     maker.add_argument("--seed", type=int, required=True)
     maker.add_argument("--count", type=int, default=40)
-    maker.add_argument("--group", choices=GROUPS)
+    maker.add_argument("--group", choices=[*GROUPS, "pair"])
     maker.add_argument("--noise", type=float, default=0.003)
     maker.add_argument("--late", type=float, default=0.0)
     maker.add_argument("--driven", action="store_true")
@@ -336,14 +390,23 @@ def main() -> None:
             make(options.out / f"{seed}", seed, groups[number % len(groups)], options.noise, options.late)
         seal(options.out)
         return
-    lines = []
+    lines: list[dict[str, Any]] = []
     for line in sealed_answers(options, read_case):
+        if line["group"] == "pair":
+            true = " + ".join(f"{family}@{place}" for family, place in zip(line["true"], line["places"], strict=True))
+            named = " + ".join(f"{name}@{place}" for name, place in line["names"])
+            print(
+                f"{line['case']} {end_of_pair(line)}: {true} | {line['by']}: {named} | {line['noise']:.3f}", flush=True
+            )
+            lines.append(line)
+            continue
         mark = "right" if is_right(line) else "stated" if line["stated"] else "-"
         names = f"{', '.join(line['true'])} | {mark}: {', '.join(line.get('read', ()))}"
         names += f" | {line.get('true_place', '')}: {', '.join(line.get('places') or ())}"
         print(f"{line['case']} {line['group']}: {names} | {line.get('loop', math.nan):.3f}", flush=True)
         lines.append(line)
-    print("\n".join(table(lines)))
+    pairs = [line for line in lines if line["group"] == "pair"]
+    print("\n".join([*(table_of_pairs(pairs) if pairs else ()), *(table(lines) if len(lines) > len(pairs) else ())]))
 
 
 if __name__ == "__main__":

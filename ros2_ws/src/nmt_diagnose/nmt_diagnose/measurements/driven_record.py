@@ -361,6 +361,14 @@ def spread_samples(start: int, stop: int, count: int) -> NDArray[np.int64]:
     return np.unique(start + np.floor((np.arange(count) + within) * stride).astype(np.int64)).clip(start, stop - 1)
 
 
+def independent_values(samples: FloatArray, sample_rate: float) -> int:
+    """Independent values of a record: two for each period of the highest frequency that it has power at."""
+    frequency, power = welch(samples - samples.mean(), sample_rate, nperseg=min(samples.size, 1024))
+    share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
+    highest = float(frequency[: int(np.searchsorted(share, 0.99)) + 1][-1])
+    return max(THRESHOLDS.reading.record_fewest_rows, int(2.0 * highest * samples.size / sample_rate))
+
+
 def white_noise(samples: FloatArray, sample_rate: float) -> float:
     """Standard deviation of white noise as strong as the lowest twentieth of the spectrum."""
     segment = min(samples.size, max(64, samples.size // 64))
@@ -427,9 +435,7 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
     in_motion = starts_in_motion(responses, first)
     slowest = _slowest(view)
     start = start_of(slowest, stretch) if in_motion else 0
-    independent = max(
-        THRESHOLDS.reading.record_fewest_rows, int((stretch.samples - start) / stretch.sample_rate * slowest)
-    )
+    independent = max(independent_values(row[start:], stretch.sample_rate) for row in responses)
     indices = spread_samples(
         max(start, _END_SAMPLES), stretch.samples - _END_SAMPLES, min(independent, max(1, budget // len(present)))
     )

@@ -21,6 +21,7 @@ from nmt_diagnose.measurements.channel import MeasuredChannel, with_magnitudes
 from nmt_diagnose.measurements.driven_record import (
     SamplePredictor,
     followed_channels,
+    independent_values,
     recorded,
     refinement,
     spread_samples,
@@ -488,14 +489,6 @@ def _moving(motion: _Motion, start: int, sample_rate: float) -> IntArray:
     resting |= binary_dilation(still, iterations=motion.reach)
     resting[:start] = True
     return np.flatnonzero(~resting)
-
-
-def independent_values(force: FloatArray, sample_rate: float) -> int:
-    """Independent values of a force: two for each period of the highest frequency that it has power at."""
-    frequency, power = welch(force - force.mean(), sample_rate, nperseg=min(force.size, 1024))
-    share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
-    highest = float(frequency[: int(np.searchsorted(share, 0.99)) + 1][-1])
-    return max(THRESHOLDS.reading.record_fewest_rows, int(2.0 * highest * force.size / sample_rate))
 
 
 def _impedance_noise(

@@ -27,7 +27,7 @@ from nmt_diagnose.prediction.forward import Prediction
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_diagnose.search.law_starts import law_of, with_laws
 from nmt_diagnose.search.memory import Memory
-from nmt_diagnose.search.search import Progress, Search
+from nmt_diagnose.search.search import Progress, Search, promise_evidence
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.rig import Rig
 
@@ -148,7 +148,7 @@ def find(
     law: LawReading | None = None
     state = SearchState(search, null, ())
 
-    gap = leaves_something(data, null, settings.matters, loop=True) or _promise_evidence(scores())
+    gap = leaves_something(data, null, settings.matters, loop=True) or promise_evidence(scores())
     settled = False
     if gap:
         begun, passed = list[FittedExplanation](), frozenset[Explanation]()
@@ -207,11 +207,6 @@ def find(
         state.left_out, law,
         () if settled else tuple(scores()), with_best,
     )  # fmt: skip
-
-
-def _promise_evidence(scores: Sequence[Score]) -> bool:
-    """Whether the score test promises an effect that is reported although the model alone leaves less than matters."""
-    return bool(scores) and 0.5 * scores[0].gain >= THRESHOLDS.verdict.sure_log_evidence
 
 
 def _singles(

@@ -49,6 +49,11 @@ WEAKER_SHARE = 0.3
 """Of the strength of a start from which the model has no solution."""
 
 
+def promise_evidence(scores: Sequence[Score]) -> bool:
+    """Whether the score test promises an effect that is reported although what it explains is less than matters."""
+    return bool(scores) and 0.5 * scores[0].gain >= THRESHOLDS.verdict.sure_log_evidence
+
+
 class Search:
     """Finds explanations of a gap.
 
@@ -500,10 +505,12 @@ class Search:
         # A search that begins at the laws of held levels has explanations by two effects already.
         heads = [explanation for explanation in singles if len(explanation.candidates) == 1]
         for single in best_by_effect(heads)[: THRESHOLDS.search.pair_heads]:
-            if single.explanation in before or self.leaves_noise_only(single):
+            if single.explanation in before:
                 continue
             # Rivals make the same motion, about which an effect does the same.
             scores = self.scores(single, scores)
+            if self.leaves_noise_only(single) and not promise_evidence(scores):
+                continue
             wanted = self.chosen(
                 single, scores, THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
             )

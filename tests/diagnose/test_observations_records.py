@@ -16,7 +16,7 @@ from nmt_diagnose.diagnose import diagnose_bags
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.measurements.backbone_table import BackboneTable
-from nmt_diagnose.measurements.driven_record import DrivenRecord, spread_samples, white_noise
+from nmt_diagnose.measurements.driven_record import DrivenRecord, independent_values, spread_samples, white_noise
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.measurements.random_reading import noise_of_weak_lines
 from nmt_diagnose.measurements.random_responses import RandomResponses
@@ -58,7 +58,8 @@ def test_a_linear_record_leaves_the_noise(tmp_path: Path) -> None:
     assert (observations.rows.part == Part.SAMPLE).all()
     assert observations.std[0] == pytest.approx(noise, rel=0.1)
     assert observations.floor[0] == pytest.approx(0.01 * y.std(), rel=0.02)
-    assert 300 < len(observations.rows) < 2000
+    # The noise of each sample is its own: as many rows as the motion has independent values, not decays of its mode.
+    assert len(observations.rows) == pytest.approx(min(independent_values(y, RATE), 4000), rel=0.01)
     difference = observations.values - predicted(
         observations, 0, simulated(test, OMEGA**2, 2.0 * RATIO * OMEGA, OMEGA**2)
     )

@@ -479,6 +479,17 @@ def second_effects(gain: float = 100.0) -> tuple[int, int]:
     return len(heads), heads[0]
 
 
+def asked_beside_noise(gain: float) -> int:
+    """Explanations that second effects are added to where the first leaves noise only, by what a second promises."""
+    search = Searched(9, 1)
+    search.leaves_noise_only = lambda single: True
+    search.scores = lambda single, scores_before: scores(search, 1, [gain] * 9)
+    heads: list[int] = []
+    search._added = lambda base, wanted: heads.append(len(wanted)) or []  # type: ignore[func-returns-value]
+    Search.pairs(search, [fitted("a")])  # type: ignore[arg-type]
+    return len(heads)
+
+
 def exchanged(share: float) -> int:
     """Other places of the best effect that are fitted, by what one promises of the best."""
     search = Searched(1, 2, [fitted("effect 0")])
@@ -564,6 +575,10 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
     "search.weak_sigmas": (lambda: (without_weak_member(2.9), without_weak_member(3.1)), (1, 0)),
     "search.finalists": (finalists, 8),
 }  # fmt: skip
+
+
+def test_a_second_effect_that_the_evidence_demands_is_fitted_where_the_first_leaves_noise_only() -> None:
+    assert (asked_beside_noise(59.0), asked_beside_noise(61.0)) == (0, 1)
 
 
 @pytest.mark.parametrize("path", EDGES)

@@ -52,12 +52,12 @@ def force_of(kind: int, x: float, v: float, a: float, b: float, before: float, s
 
 @njit(cache=True)
 def missing_force(
-    kinds: Array, numbers: Array, memory: Array, after: Array, x: float, v: float, step: float, mine: Array
+    kinds: Array, numbers: Array, memory: Array, after: Array, x: float, v: float, step: float, here: Array
 ) -> float:
     """Sum of the laws of one place; numbers are their sizes and two numbers each."""
     total = 0.0
     for k in range(kinds.size):
-        if mine[k]:
+        if here[k]:
             value, after[k] = force_of(kinds[k], x, v, numbers[k, 1], numbers[k, 2], memory[k], step)
             total += numbers[k, 0] * value
     return total
@@ -67,22 +67,22 @@ def missing_force(
 def balanced(
     x0: float,
     v0: float,
-    own: float,
+    compliance: float,
     kinds: Array,
     numbers: Array,
     memory: Array,
     after: Array,
     step: float,
-    mine: Array,
+    here: Array,
 ) -> float:
-    """Force g of one place, at which it moves by x₀ and v₀ less what g accelerates it by, ``own`` for 1 N."""
+    """Force g of one place, at which it moves by x₀ and v₀ less what g accelerates it by, ``compliance`` for 1 N."""
     size = numbers[:, 0].sum() + 1e-30
     # Of the residual g − law(x(g), v(g)): it grows with g.
     g, low, high = 0.0, -1e4 * size, 1e4 * size
     below, above = low, high
     for turn in range(200):
-        x, v = x0 - 0.25 * step**2 * own * g, v0 - 0.5 * step * own * g
-        law = missing_force(kinds, numbers, memory, after, x, v, step, mine)
+        x, v = x0 - 0.25 * step**2 * compliance * g, v0 - 0.5 * step * compliance * g
+        law = missing_force(kinds, numbers, memory, after, x, v, step, here)
         if abs(g - law) <= 1e-10 * size:
             break
         if g > law:
@@ -108,7 +108,7 @@ def integrated(
     (places, n), count = at.shape, drive.size
     left = np.linalg.inv(m + 0.5 * step * c + 0.25 * step**2 * k)
     pushed = at @ left
-    own = pushed @ at.T
+    compliance = pushed @ at.T
     q, rate = np.zeros(n), np.zeros(n)
     memory, after = np.zeros(kinds.size), np.zeros(kinds.size)
     first = np.zeros(n)
@@ -131,10 +131,12 @@ def integrated(
                     pull = at[place] @ free
                     for other in range(places):
                         if other != place:
-                            pull -= own[place, other] * g[other]
+                            pull -= compliance[place, other] * g[other]
                     x0 = at[place] @ go_q + 0.25 * step**2 * pull
                     v0 = at[place] @ go_v + 0.5 * step * pull
-                    found = balanced(x0, v0, own[place, place], kinds, numbers, memory, after, step, owners == place)
+                    found = balanced(
+                        x0, v0, compliance[place, place], kinds, numbers, memory, after, step, owners == place
+                    )
                     moved = max(moved, abs(found - g[place]))
                     g[place] = found
                 if moved <= 1e-9 * size:
@@ -297,9 +299,9 @@ def make(folder: Path, seed: int, group: str, noise: float = 0.003) -> None:
     }  # fmt: skip
     (folder / "sidecar.yaml").write_text(yaml.safe_dump(sidecar), encoding="utf-8")
     np.savez(folder / "truth.npz", x=q @ at[0], v=v @ at[0], missing=missing[:, 0], channel=np.zeros(force.size))
-    said = [f"{point}-{other}" if other else f"{point}" for point, other in places]
+    labels = [f"{point}-{other}" if other else f"{point}" for point, other in places]
     truth = {
-        "group": group, "families": families, "seed": seed, "place": said[0], "places": said, "bare": bool(hidden),
+        "group": group, "families": families, "seed": seed, "place": labels[0], "places": labels, "bare": bool(hidden),
         "masses": count, "quantity": quantity, "noise": noise,
         "shares": [float(np.std(missing[:, k]) / np.std(drive)) for k in range(len(places))],
     }  # fmt: skip

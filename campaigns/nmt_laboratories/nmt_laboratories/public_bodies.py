@@ -207,8 +207,8 @@ def make_case(robot: str, kind: str, seed: int, dirty: bool, folder: Path) -> di
         friction = friction + 0.02 * size * (rows[:, None] / SECONDS - 0.5)
     measured = (acting + friction) * factor + 0.005 * size * rng.standard_normal(q.shape)
     # Of all torque: a wrist that carries nothing has little else than friction.
-    differs, whole = (np.sqrt(np.mean(values**2, axis=0)) for values in (acting * factor - plain, measured))
-    truth["effect"] = (differs / whole).tolist()
+    differs, sizes = (np.sqrt(np.mean(values**2, axis=0)) for values in (acting * factor - plain, measured))
+    truth["effect"] = (differs / sizes).tolist()
     counts = 2.0 * np.pi / 2**18
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "robot.urdf").write_text(text, encoding="utf-8")

@@ -131,9 +131,9 @@ def indicator_figure(data: RunReportData) -> ReportFigure:
     for axes in panels[-1]:
         axes.set_xlabel(abscissa.label)
     caption = Markup(
-        "1 is a perfectly appropriated mode. PBMIF: active over apparent power; γ<sub>F</sub>, "
-        "γ<sub>A</sub>: fundamental content of force and drive-point acceleration; MAC: correlation with "
-        "the linear mode. Bars: repeatability."
+        "PBMIF: active over apparent power, 1 for a perfectly appropriated mode; γ<sub>F</sub>, "
+        "γ<sub>A</sub>: fundamental content of force and drive-point acceleration, 1 without other harmonics; MAC: "
+        "correlation with the linear mode, 1 for its shape. Bars: repeatability."
     )
     if any(point.force_order for point in points):
         caption += Markup(" In a secondary resonance the power enters in another order: PBMIF is small there.")

@@ -278,8 +278,9 @@ def _ranking(d: Diagnosis) -> Table:
     )
     note = (
         "All explanations are fitted to the same data with the model’s own parameters free. The probability weighs the "
-        "fit against the number of parameters. Strength: over its standard deviation from scatter of the data; ± "
-        "also holds the uncertainty of gains and parameters. Gap closed: share of the residual beyond "
+        "fit against the number of parameters. Strength: the estimate over its standard deviation "
+        "from scatter of the data alone (of a factor its logarithm); ± also holds the uncertainty of gains and "
+        "parameters. Gap closed: share of the residual beyond "
         "noise that the explanation removes from held-out data, with its 90 % interval; negative: it predicts worse "
         "than the model without it. Only the most probable explanations are judged on held-out data."
     )

@@ -505,6 +505,9 @@ def _shape_figure(test: LinearTest) -> ReportFigure:
         if index == 0:
             axes.set_ylabel("Im ψ (1/√kg)")
     figure.subplots_adjust(left=0.1, right=0.98, bottom=0.13, top=0.92, wspace=0.3)
-    caption = "Proportional damping gives shapes on the real axis. The loop and the extraction use the real part only."
+    caption = (
+        "Proportional damping gives shapes on the real axis. A phase resonance test that starts from these modes uses "
+        "the real part only."
+    )
     label = "Complex shapes at the response points"
     return report_figure(figure, "complexity", "Shapes in the complex plane", caption, label=label)

@@ -229,7 +229,7 @@ def _block_length(data: RunReportData) -> str:
         return ""
     samples = int(block["samples"])
     text = f"{samples} samples ({significant(1e3 * samples / data.sample_rate, 3)} ms)"
-    return f"{text}, chosen" if _block_reason(data) else text
+    return f"{text}, chosen by the program" if _block_reason(data) else text
 
 
 def _block_reason(data: RunReportData) -> str:
@@ -316,7 +316,8 @@ def _budget_notes(data: RunReportData) -> list[str]:
     if data.budget_inputs.method is not None:
         notes.append(
             "Single-point excitation: deviation of a simulated run of the rig, this one or that of --model-run, "
-            "from its reference at the same modal amplitude."
+            "from its reference at the same modal amplitude. It counts as uncertainty and is not corrected: "
+            "where it is of this run, ± holds its deviation by construction."
         )
     return [*notes, *left_out(data.budget_inputs)]
 

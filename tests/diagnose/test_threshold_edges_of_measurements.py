@@ -479,10 +479,10 @@ def second_effects(gain: float = 100.0) -> tuple[int, int]:
     return len(heads), heads[0]
 
 
-def asked_beside_noise(gain: float) -> int:
+def asked_beside_noise(gain: float, of_records: bool = True) -> int:
     """Explanations that second effects are added to where the first leaves noise only, by what a second promises."""
     search = Searched(9, 1)
-    search.leaves_noise_only = lambda single: True
+    search.leaves_noise_only, search.of_records = lambda single: True, of_records
     search.scores = lambda single, scores_before: scores(search, 1, [gain] * 9)
     heads: list[int] = []
     search._added = lambda base, wanted: heads.append(len(wanted)) or []  # type: ignore[func-returns-value]
@@ -578,7 +578,7 @@ EDGES: dict[str, tuple[Callable[[], Any], Any]] = {
 
 
 def test_a_second_effect_that_the_evidence_demands_is_fitted_where_the_first_leaves_noise_only() -> None:
-    assert (asked_beside_noise(59.0), asked_beside_noise(61.0)) == (0, 1)
+    assert (asked_beside_noise(59.0), asked_beside_noise(61.0), asked_beside_noise(61.0, False)) == (0, 1, 0)
 
 
 @pytest.mark.parametrize("path", EDGES)

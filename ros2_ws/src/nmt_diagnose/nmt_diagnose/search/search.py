@@ -509,7 +509,7 @@ class Search:
                 continue
             # Rivals make the same motion, about which an effect does the same.
             scores = self.scores(single, scores)
-            if self.leaves_noise_only(single) and not promise_evidence(scores):
+            if self.leaves_noise_only(single) and not (self.of_records and promise_evidence(scores)):
                 continue
             wanted = self.chosen(
                 single, scores, THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
@@ -591,6 +591,14 @@ class Search:
         ]
         found = [self.best(wider, [Start(StartName.MODES, values)], widen=True) for wider, values, _ in solved]
         return best_of([explanation for explanation in found if explanation is not None])
+
+    @property
+    def of_records(self) -> bool:
+        """Whether all rows are samples, whose standard deviation is their noise.
+
+        That of windows and lines also bounds errors of the model's form, which the evidence takes for an effect.
+        """
+        return all(test.record is not None for test in self.data.observations.tests)
 
     def leaves_noise_only(self, found: FittedExplanation) -> bool:
         """Whether a fit leaves noise only and bends neither parameters nor measuring chain: nothing asks for more."""

@@ -227,7 +227,8 @@ def read_case(folder: Path) -> dict[str, Any]:
             import_data(folder / "sidecar.yaml", Path(bags) / "bag")
             observations = observed(rig, [Path(bags) / "bag"])
     except BenchError as error:
-        return {**found, "refusals": [str(error)], "seconds": 0.0}
+        refused = {"by": "refused", "names": [], "whole": False, "places": [], "noise": 0.0}
+        return {**found, **(refused if truth["group"] == "pair" else {}), "refusals": [str(error)], "seconds": 0.0}
     begin = time.process_time()
     if truth["group"] == "pair":
         diagnosis = diagnose_observations(rig, observations, DiagnosisSettings(jobs=1, look_ahead=False)).diagnosis
@@ -299,7 +300,7 @@ def _effects_of(family: str) -> set[str]:
 
 def end_of_pair(line: dict[str, Any]) -> str:
     """``both``, ``nearest`` (both come nearest), ``one`` with more that remains, ``open`` or ``wrong``."""
-    true = list(zip(line["true"], line["places"], strict=True))
+    true = list(zip(line["true"], line["places"], strict=False))
     names = [(name, str(place)) for name, place in line["names"]]
 
     def is_one(name: str, place: str) -> bool:
@@ -380,6 +381,8 @@ def main() -> None:
     maker.add_argument("--late", type=float, default=0.0)
     maker.add_argument("--driven", action="store_true")
     options = parser.parse_args()
+    if options.part == "make" and options.group == "pair" and not options.driven:
+        parser.error("two laws act on driven rows only; add --driven")
     if options.part == "make":
         groups = [options.group] if options.group else OF_DRIVEN if options.driven else GROUPS
         for number in range(options.count):
@@ -393,7 +396,7 @@ def main() -> None:
     lines: list[dict[str, Any]] = []
     for line in sealed_answers(options, read_case):
         if line["group"] == "pair":
-            true = " + ".join(f"{family}@{place}" for family, place in zip(line["true"], line["places"], strict=True))
+            true = " + ".join(f"{family}@{place}" for family, place in zip(line["true"], line["places"], strict=False))
             named = " + ".join(f"{name}@{place}" for name, place in line["names"])
             print(
                 f"{line['case']} {end_of_pair(line)}: {true} | {line['by']}: {named} | {line['noise']:.3f}", flush=True

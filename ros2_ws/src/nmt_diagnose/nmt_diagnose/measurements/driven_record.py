@@ -362,7 +362,12 @@ def spread_samples(start: int, stop: int, count: int) -> NDArray[np.int64]:
 
 
 def independent_values(samples: FloatArray, sample_rate: float) -> int:
-    """Independent values of a record: two for each period of the highest frequency that it has power at."""
+    """Independent values of a record: two for each period of the highest frequency that it has power at.
+
+    Args:
+        samples: of one channel, (n,), in any unit.
+        sample_rate: Hz.
+    """
     frequency, power = welch(samples - samples.mean(), sample_rate, nperseg=min(samples.size, 1024))
     share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
     highest = float(frequency[: int(np.searchsorted(share, 0.99)) + 1][-1])

@@ -35,8 +35,7 @@ def left_in(observations: Observations, part: Part, above: float) -> np.ndarray:
 
 
 def test_what_is_left_is_found_where_it_is(observations: Observations) -> None:
-    everything = np.ones(len(observations.rows), dtype=bool)
-    found = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2), everything)
+    found = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2))
     assert found is not None
     assert (found.share, found.low, found.high) == pytest.approx((0.06, 0.03, 0.1))
     first = found.where[0]
@@ -50,31 +49,28 @@ def test_what_is_left_is_found_where_it_is(observations: Observations) -> None:
 
 
 def test_rows_that_no_split_held_out_do_not_count(observations: Observations) -> None:
-    rows = observations.rows.part != Part.LOG_FREQUENCY
-    found = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows)
+    left = left_in(observations, Part.LOG_FREQUENCY, 1.2)
+    found = remainder(observations, LEFT, np.where(observations.rows.part == Part.LOG_FREQUENCY, np.nan, left))
     assert found is not None
     assert not any(item.observable.endswith(": frequency") for item in found.where)
 
 
 @pytest.mark.parametrize("closed", [0.995, 1.0, math.nan])
 def test_less_than_a_percent_is_not_told(observations: Observations, closed: float) -> None:
-    rows = np.ones(len(observations.rows), dtype=bool)
-    assert remainder(observations, replace(LEFT, closed=closed), np.zeros(len(observations.rows)), rows) is None
+    assert remainder(observations, replace(LEFT, closed=closed), np.zeros(len(observations.rows))) is None
 
 
 def test_of_noise_nothing_is_left(observations: Observations) -> None:
     """What the uncertainties allow without the explanation is not a gap that it could leave."""
-    rows = np.ones(len(observations.rows), dtype=bool)
     weak = replace(LEFT, before=0.9, after=0.8, closed=0.3)
-    assert remainder(observations, weak, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows) is None
+    assert remainder(observations, weak, left_in(observations, Part.LOG_FREQUENCY, 1.2)) is None
     ranked = Ranked("clipping", "force_sensor", "f1", 0.9, (), {}, Share(0.3, 0.1, 0.5), 9.0)
     said = sentences(Verdict.EFFECT, (), (ranked,), None, weak, (), ())[2]
     assert "The uncertainties of the held-out data allow 1, so they hardly show it." in said
 
 
 def test_the_answer_says_how_much_is_left_and_where(observations: Observations) -> None:
-    rows = np.ones(len(observations.rows), dtype=bool)
-    rest = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2), rows)
+    rest = remainder(observations, LEFT, left_in(observations, Part.LOG_FREQUENCY, 1.2))
     ranked = Ranked(
         "cubic_stiffness", "structure", "2", 0.95, (), {"k": Value(1.0, 0.1, "N/m³")}, Share(0.94, 0.9, 0.97), 9.0
     )

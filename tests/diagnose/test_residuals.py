@@ -96,7 +96,7 @@ def test_map_and_observables_carry_units():
     assert sum(group.rows for group in groups) == len(observations.rows)
     assert {group.channel for group in groups} == {"f1", "a1", "frequency and phase"}
     assert all((group.as_given, group.before, group.after) == (3.0, 2.0, 1.0) for group in groups)
-    table = per_observable(observations, twos, ones, np.ones(len(observations.rows), dtype=bool))
+    table = per_observable(observations, [(twos, ones, np.ones(len(observations.rows), dtype=bool))])
     assert table["run: frequency"]["before_unit"] == pytest.approx(2.0)  # 2 σ of 1 %
     assert table["run: frequency"]["unit"] == "%"
     assert table["run: phase of f1"]["after_unit"] == pytest.approx(np.degrees(0.01))

@@ -142,17 +142,16 @@ def visible(sigmas: float) -> bool:
 
 def left(share: float) -> bool:
     observations = run_observations(levels=9)
-    every = np.ones(len(observations.rows), dtype=bool)
-    return remainder(observations, replace(GAP, closed=1.0 - share), np.full(every.size, 3.0), every) is not None
+    after = np.full(len(observations.rows), 3.0)
+    return remainder(observations, replace(GAP, closed=1.0 - share), after) is not None
 
 
 def third(levels: int, size: float) -> str:
     """Third of the levels where what is left is said to lie, where the highest level has so much of the squares."""
     observations = run_observations(levels=levels, harmonics=0)
-    every = np.ones(levels, dtype=bool)
     squares = np.full(levels, (1.0 - size) / (levels - 1))
     squares[-1] = size
-    found = remainder(observations, replace(GAP, closed=0.5), 100.0 * np.sqrt(squares), every)
+    found = remainder(observations, replace(GAP, closed=0.5), 100.0 * np.sqrt(squares))
     assert found is not None
     return found.where[0].levels
 

@@ -152,15 +152,14 @@ def judged_splits(share: float) -> int:
     split = SimpleNamespace(held_out=np.ones(4, dtype=bool))
     data = SimpleNamespace(used=np.ones(4, dtype=bool), observations=None, sigma=one)
     looked: Any = SimpleNamespace(
-        null=fitted["null"], everything=data, splits=(split,), _seed=0, refitted=lambda found, _: refits[found.name]
+        null=fitted["null"], everything=data, splits=(split,), refitted=lambda found, _: refits[found.name]
     )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             held_out, "best_chain_errors", lambda data, values, *_: SimpleNamespace(residual=refits[values].residual)
         )
         patch.setattr(held_out, "no_worse_than_silence", lambda observations, residual, sigma: residual)
-        patch.setattr(held_out, "closed", lambda observations, pairs, seed: len(pairs))
-        return held_out.HeldOut.closed(looked, fitted["best"])  # type: ignore[return-value, arg-type]
+        return len(held_out.HeldOut.pairs(looked, fitted["best"]))  # type: ignore[arg-type]
 
 
 def asked(sigmas: float) -> int:

@@ -146,7 +146,7 @@ def report(verdict: Verdict, observations: Observations | None = None) -> Diagno
         ranking=(ranked, pair),
         probabilities={"none": 0.01, "unknown": 0.04, "cubic_stiffness@5": 0.93},
         gap=Gap(
-            3.0, rms(last), 1.0, 5.0, *closed, per_observable(observations, refitted, last, everything),
+            3.0, rms(last), 1.0, 5.0, *closed, per_observable(observations, [(refitted, last, everything)]),
             ("every second level",),
         ),
         next_test=() if gapless else (

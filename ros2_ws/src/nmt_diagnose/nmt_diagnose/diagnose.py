@@ -32,7 +32,7 @@ from nmt_diagnose.ledger.diagnosis import (
     Value,
     Verdict,
 )
-from nmt_diagnose.ledger.gap import rms
+from nmt_diagnose.ledger.gap import closed, over_splits, rms
 from nmt_diagnose.ledger.held_out import HeldOut, named_tests, splits
 from nmt_diagnose.ledger.judgement import Judgement, judged
 from nmt_diagnose.ledger.ledger import ledger_of
@@ -222,7 +222,7 @@ def _diagnosed(
     judgement = judged(findings, held_out, settings)
     verdict, comparison = judgement.verdict, judgement.comparison
     left = _left(judgement, held_out)
-    gap = _gap(judgement, held_out, left)
+    gap, remains = _gap(judgement, held_out, left)
     reported = judgement.nearest is not None
     located = reported if verdict is not Verdict.UNKNOWN else is_located(gap, judgement.law)
     where = place_rows(comparison, findings.sources) if located else ()
@@ -234,7 +234,7 @@ def _diagnosed(
     calibration = calibration_rows(judgement.best)
     if small is not None and comparison.small is not None and verdict is Verdict.NONE:
         calibration = calibration_rows(comparison.small)  # without it parameters stand in for it
-    unexplained = remainder(left.observations, gap, left.after, left.rows) if reported else None
+    unexplained = remainder(left.observations, gap, remains) if reported else None
     answer = ReportedGap(where, ranking, calibration, gap, unexplained, small)
     ahead = _ahead(rig, judgement, left.observations, settings)
     text, warnings, where = _sentences(judgement, answer, ahead, observations, settings)
@@ -314,28 +314,25 @@ def _left(judgement: Judgement, held_out: HeldOut) -> ModelResiduals:
     return ModelResiduals(scaled, as_given, before, after, held_out.everything.used)
 
 
-def _gap(judgement: Judgement, held_out: HeldOut, left: ModelResiduals) -> Gap:
-    """The gap on data held out where those say something of it, else on all rows."""
-    calibration = judgement.verdict is Verdict.CALIBRATION
-    share = None if judgement.nearest is None else judgement.shares[judgement.nearest.head.explanation]
-    share = held_out.recalibrated() if calibration else share
-    before, after = (rms(item[left.rows]) for item in (left.as_given if calibration else left.before, left.after))
-    closed, low, high = math.nan, math.nan, math.nan
-    if share is not None:
-        before = share.before if math.isfinite(share.before) else before
-        after = share.after if math.isfinite(share.after) else after
-        closed, low, high = share.value, share.low, share.high
-    return Gap(
-        before=before,
-        after=after,
+def _gap(judgement: Judgement, held_out: HeldOut, left: ModelResiduals) -> tuple[Gap, FloatArray]:
+    """The gap on data held out where those say something of it, else on all rows; and what is left of each, (m,)."""
+    calibration, nearest = judgement.verdict is Verdict.CALIBRATION, judgement.nearest
+    pairs = held_out.recalibrated() if calibration else held_out.pairs(nearest.head) if nearest is not None else []
+    share = closed(held_out.everything.observations, pairs, held_out.seed)
+    predicted = math.isfinite(share.before)
+    judged = pairs if predicted else [(left.as_given if calibration else left.before, left.after, left.rows)]
+    gap = Gap(
+        before=share.before if predicted else rms(judged[0][0][left.rows]),
+        after=share.after if predicted else rms(left.after[left.rows]),
         floor=1.0,
-        as_given=rms(left.as_given[left.rows]),
-        closed=closed,
-        low=low,
-        high=high,
-        per_observable=per_observable(left.observations, left.before, left.after, left.rows),
-        held_out=tuple(split.name for split in held_out.splits),
+        as_given=rms(np.concatenate([left.as_given[rows] for _, _, rows in judged])),
+        closed=share.value,
+        low=share.low,
+        high=share.high,
+        per_observable=per_observable(left.observations, judged),
+        held_out=tuple(split.name for split in held_out.splits) if predicted else (),
     )
+    return gap, over_splits([(after, rows) for _, after, rows in judged])
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,9 @@ from nmt_diagnose.thresholds import THRESHOLDS
 _RESAMPLES = 1000
 # Fewer resamples with a gap have no 5 % ends.
 _FEWEST_RESAMPLES = 50
+
+Pair = tuple[FloatArray, FloatArray, BoolArray]
+"""Residuals over standard deviations before and after, (m,) each, and the rows that are judged by them, (m,)."""
 
 NOISE = 1.0
 """Root mean square of residuals in standard deviations that the stated uncertainties allow."""
@@ -48,9 +52,22 @@ def rms(residual: FloatArray) -> float:
     return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
 
 
+def over_splits(residuals: Sequence[tuple[FloatArray, BoolArray]]) -> FloatArray:
+    """Root mean square of each row's residuals over the splits that judge it, (m,); NaN where none does.
+
+    Args:
+        residuals: of a split, (m,), and the rows that it judges, (m,).
+    """
+    every = np.array([np.where(rows, residual, np.nan) for residual, rows in residuals])
+    judged = np.isfinite(every)
+    squares = np.sum(np.where(judged, every, 0.0) ** 2, axis=0)
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.sqrt(squares / judged.sum(axis=0)))
+
+
 def closed(
     observations: Observations,
-    pairs: list[tuple[FloatArray, FloatArray, BoolArray]],
+    pairs: list[Pair],
     seed: int = 0,
     floor: float = 1.0,
 ) -> ClosedShare:
@@ -58,7 +75,7 @@ def closed(
 
     Args:
         observations: the real side.
-        pairs: residual before, residual after (m,) each, and the held-out rows, one per split.
+        pairs: residuals of the held-out rows, one pair for each split.
         seed: of the bootstrap.
         floor: rms of the noise floor. A smaller residual after the fit replaces it, as no prediction beats a true
             floor.

@@ -16,7 +16,7 @@ from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import REFIT, Data, FitError, Metric, Start, best_chain_errors, fit
-from nmt_diagnose.ledger.gap import ClosedShare, closed, no_worse_than_silence, rms
+from nmt_diagnose.ledger.gap import ClosedShare, Pair, closed, no_worse_than_silence, rms
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.thresholds import THRESHOLDS
@@ -170,7 +170,7 @@ class HeldOut:
         seed: int,
     ) -> None:
         self.fitted, self.everything, self.splits = fitted, everything, tuple(splits)
-        self.null, self.as_given, self._seed = null, as_given, seed
+        self.null, self.as_given, self.seed = null, as_given, seed
         self._known: dict[tuple[int, int], Refit | None] = {}
 
     def residual(self, values: FloatArray) -> FloatArray:
@@ -178,7 +178,11 @@ class HeldOut:
         return best_chain_errors(self.everything, values).residual
 
     def closed(self, best: FittedExplanation) -> ClosedShare:
-        """How much of the gap an explanation closes on rows that its fit did not see.
+        """How much of the gap an explanation closes on rows that its fit did not see."""
+        return closed(self.everything.observations, self.pairs(best), self.seed)
+
+    def pairs(self, best: FittedExplanation) -> list[Pair]:
+        """Residuals of the model alone and of an explanation on rows that neither fit saw, one pair for each split.
 
         A split whose fit leaves open what the explanation does to the rows held out says nothing of it, nor does one
         from which the model alone knows less of them than what it is off by.
@@ -189,7 +193,7 @@ class HeldOut:
             for found in (self.null, best)
         ]
         change = (fits[1] - fits[0]) * scale
-        pairs = []
+        pairs: list[Pair] = []
         for split in self.splits:
             rows = split.held_out & data.used
             before, after = (self.refitted(found, split) for found in (self.null, best))
@@ -201,7 +205,7 @@ class HeldOut:
             if rms(uncertain[rows]) <= THRESHOLDS.verdict.open_prediction_share * rms(change[rows]):
                 silent = no_worse_than_silence(data.observations, before.residual, data.sigma)
                 pairs.append((silent * scale, after.residual * scale / np.hypot(1.0, uncertain), rows))
-        return closed(data.observations, pairs, self._seed)
+        return pairs
 
     def closed_by(self, values_after: Callable[[Split], FloatArray | None], scale: FloatArray) -> ClosedShare:
         """How much of the gap that the model alone leaves other values close on rows held out.
@@ -221,21 +225,21 @@ class HeldOut:
                 continue
             silent = no_worse_than_silence(data.observations, before.residual, data.sigma)
             pairs.append((silent * scale, self.residual(values) * scale, rows & np.isfinite(values)))
-        return closed(data.observations, pairs, self._seed)
+        return closed(data.observations, pairs, self.seed)
 
-    def recalibrated(self) -> ClosedShare:
-        """How much of the gap to the model as given its own parameters close on rows that their fit did not see.
+    def recalibrated(self) -> list[Pair]:
+        """Residuals of the model as given and with its own parameters re-fitted to other rows, as :meth:`pairs`.
 
         A split whose fit leaves open what they do to the rows held out says nothing of it.
         """
         scale, data = self.null.scale(gap=False), self.everything
         before = no_worse_than_silence(data.observations, self.residual(self.as_given), data.sigma) * scale
-        pairs = []
+        pairs: list[Pair] = []
         for split in self.splits:
             after, rows = self.refitted(self.null, split), split.held_out & data.used
             if after is not None and not after.is_open:
                 pairs.append((before, after.residual * scale / np.hypot(1.0, after.std * scale), rows))
-        return closed(data.observations, pairs, self._seed)
+        return pairs
 
     def refitted(self, found: FittedExplanation, split: Split) -> Refit | None:
         """An explanation fitted to the rows of a split; None where the model has no solution there."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from nmt_core.numerics.arrays import BoolArray, FloatArray, IntArray
+from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.ledger.diagnosis import Gap, Remainder, RemainderPart
 from nmt_diagnose.ledger.gap import NOISE, rms
 from nmt_diagnose.measurements.measurement import Observations
@@ -19,19 +19,18 @@ _NAMED_OBSERVABLES = 3
 _BANDS = ("lowest", "middle", "highest")
 
 
-def remainder(observations: Observations, gap: Gap, after: FloatArray, rows: BoolArray) -> Remainder | None:
+def remainder(observations: Observations, gap: Gap, after: FloatArray) -> Remainder | None:
     """The remainder of a gap; None where that is less than 1 % of it, not known, or no more than the noise before.
 
     Args:
         observations: the real side.
         gap: before and after the explanation.
-        after: residual of the held-out rows in standard deviations, shape (m,).
-        rows: rows that were held out, shape (m,).
+        after: residual of the judged rows in standard deviations, (m,); NaN in the others.
     """
     if not math.isfinite(gap.closed) or 1.0 - gap.closed < THRESHOLDS.verdict.least_remainder or gap.before <= NOISE:
         return None
     found: list[tuple[float, RemainderPart]] = []
-    good = rows & np.isfinite(after)
+    good = np.isfinite(after)
     for name, number, channel, facts, kind in observables_of(observations):
         selected = np.flatnonzero(kind & good)
         if not selected.size:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_diagnose.ledger.diagnosis import ResidualGroup
-from nmt_diagnose.ledger.gap import rms
+from nmt_diagnose.ledger.gap import Pair, rms
 from nmt_diagnose.measurements.measurement import Observations, holds_amplitude
 from nmt_diagnose.observations.observables import Part, PartFacts
 
@@ -80,32 +80,28 @@ def observables_of(observations: Observations) -> Iterator[tuple[str, int, int, 
                 yield name, number, int(channel), alike[0].facts, kind & (rows.channel == channel)
 
 
-def per_observable(
-    observations: Observations, before: FloatArray, after: FloatArray, held_out: BoolArray
-) -> dict[str, dict[str, Any]]:
+def per_observable(observations: Observations, pairs: Sequence[Pair]) -> dict[str, dict[str, Any]]:
     """Gap by observable: in noise units, and in engineering units as root mean square.
 
     Args:
         observations: the real side.
-        before, after: whitened residuals, (m,).
-        held_out: rows to judge by.
+        pairs: residuals before and after of the rows to judge by; a row that several splits hold out counts in each.
     """
     result: dict[str, dict[str, Any]] = {}
-    judged = held_out & np.isfinite(before) & np.isfinite(after)
+    judged = [rows & np.isfinite(before) & np.isfinite(after) for before, after, rows in pairs]
     for name, number, channel, facts, kind in observables_of(observations):
-        selected = kind & judged
-        if not selected.any():
+        selected = [kind & rows for rows in judged]
+        count = sum(int(rows.sum()) for rows in selected)
+        if not count:
             continue
-        scale = observations.sigma[selected] * facts.factor
-        result[name] = {
-            "before": rms(before[selected]),
-            "after": rms(after[selected]),
-            "floor": 1.0,
-            "before_unit": rms(before[selected] * scale),
-            "after_unit": rms(after[selected] * scale),
-            "unit": facts.unit or unit_of_channel(observations, number, channel),
-            "rows": int(selected.sum()),
-        }
+        scale = observations.sigma * facts.factor
+        found: dict[str, Any] = {"floor": 1.0, "rows": count}
+        for key, side in (("before", 0), ("after", 1)):
+            pooled = [(pair[side][rows], scale[rows]) for pair, rows in zip(pairs, selected, strict=True)]
+            found[key] = rms(np.concatenate([residual for residual, _ in pooled]))
+            found[f"{key}_unit"] = rms(np.concatenate([residual * unit for residual, unit in pooled]))
+        found["unit"] = facts.unit or unit_of_channel(observations, number, channel)
+        result[name] = found
     return result
 
 

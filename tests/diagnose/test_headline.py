@@ -19,9 +19,9 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.law.reading import refitted_laws
 from nmt_diagnose.ledger.diagnosis import PlaceShare, Verdict
 from nmt_diagnose.say.law_sentences import led_by_law
+from nmt_diagnose.say.words import verdict_text
 from nmt_laboratories.headline_campaign import CASES, model_of, structure_of, write_levels
 from nmt_laboratories.modal_simulator import Element
-from nmt_report.diagnosis_words import verdict_text
 
 CUBIC = (3, "cubic", (4.0e8,), ())
 WEAKENING = (4, "stribeck", (0.004, 4e-3, 1.0, 0.1), ())

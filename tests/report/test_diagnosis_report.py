@@ -18,10 +18,7 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Answer, Ranked, Remainder, RemainderPart, Share, Value, Verdict
 from nmt_diagnose.measurements.measurement import joined
 from nmt_diagnose.observations.observables import Part
-from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv, on_one_scale
-from nmt_report.diagnosis_report import diagnosis_page, probability_shares
-from nmt_report.diagnosis_tables import ranking_table
-from nmt_report.diagnosis_words import (
+from nmt_diagnose.say.words import (
     answers_text,
     class_text,
     effect_text,
@@ -34,6 +31,9 @@ from nmt_report.diagnosis_words import (
     value_text,
     verdict_text,
 )
+from nmt_report.diagnosis_curves import courses, harmonic_courses, observables_csv, on_one_scale
+from nmt_report.diagnosis_report import diagnosis_page, probability_shares
+from nmt_report.diagnosis_tables import ranking_table
 from nmt_report.figure_record import unpacked
 from nmt_report.rig_drawing import marked_places, rig_figure
 from nmt_report.svg import RED
@@ -109,7 +109,7 @@ def test_a_class_is_named_with_its_splitting_test() -> None:
     assert "one class: these tests cannot distinguish them; the test that would is below" in text
     assert "./nmt run beam --levels 1.5:3:6 --out high" in text
     assert "k = (20.00 ± 0.31)·10⁶ N/m³" in text
-    assert "air drag at point 3: c2 = 0.40 ± 0.10 N s²/m²; force gain at channel f2: g = 0.0100 ± 0.0020" in text
+    assert "air drag at point 3: c2 = 0.40 ± 0.10 N s²/m²; force gain at channel f2: relative error g = 0.0100 ± 0.0020" in text
     assert "local_elements.joint.slip_force_n" in text
 
 

@@ -26,9 +26,9 @@ from nmt_diagnose.ledger.diagnosis import (
 )
 from nmt_diagnose.ledger.size import Objection
 from nmt_diagnose.say.sentences import sentences
+from nmt_diagnose.say.words import verdict_text
 from nmt_report.diagnosis_report import probability_shares
 from nmt_report.diagnosis_tables import ranking_table
-from nmt_report.diagnosis_words import verdict_text
 
 EFFECTS = ("cubic_stiffness", "viscous_damping + mains_hum", "microslip")
 LEFT = (Objection("run: frequency", "frequency", 0.004),)

@@ -38,12 +38,12 @@ from nmt_diagnose.diagnose import DiagnosisOutcome, diagnose_bags, observed
 from nmt_diagnose.fit.fitting import best_chain_errors, data_about
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.prediction.forward import Forward
+from nmt_diagnose.say.words import verdict_text
 from nmt_laboratories import laboratory_laws, laboratory_one
 from nmt_laboratories.campaign_frame import seal, sealed_answers, sealed_parser
 from nmt_laboratories.driven_laboratories import _MASS_RATIOS, _row_of_masses
 from nmt_laboratories.laboratory_two import frequency_of
 from nmt_laboratories.modal_simulator import Element, Simulator, fundamental
-from nmt_report.diagnosis_words import verdict_text
 from nmt_rig.rig import Rig, load_rig
 
 RATE = 2048.0

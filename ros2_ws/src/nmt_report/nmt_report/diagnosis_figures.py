@@ -18,8 +18,8 @@ from matplotlib.ticker import MaxNLocator
 
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.ledger.diagnosis import ResidualGroup
+from nmt_diagnose.say.words import channel_text
 from nmt_report.diagnosis_curves import Course, HarmonicCourse
-from nmt_report.diagnosis_words import channel_text
 from nmt_report.quantity_format import significant
 from nmt_report.svg import BLUE, GRID, INK, MUTED, ORANGE, ReportFigure, level_colours, svg_text
 

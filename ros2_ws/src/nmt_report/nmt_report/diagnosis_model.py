@@ -8,7 +8,7 @@ from typing import Any
 from nmt_core.text.number_words import value_text
 from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_report.diagnosis_words import key_text
+from nmt_diagnose.say.words import key_text
 from nmt_report.quantity_format import significant
 from nmt_rig.rig import Rig
 from nmt_rig.rig_file_edit import changed_keys, edited_rig_text

@@ -13,16 +13,7 @@ from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.measurements.measurement import Measurement, Observations
 from nmt_diagnose.observations.observables import Part
-from nmt_report.diagnosis_curves import (
-    Course,
-    Models,
-    courses,
-    harmonic_courses,
-    level_names,
-    on_one_scale,
-)
-from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
-from nmt_report.diagnosis_words import (
+from nmt_diagnose.say.words import (
     answered,
     answers_text,
     channel_text,
@@ -41,6 +32,15 @@ from nmt_report.diagnosis_words import (
     smallest_text,
     verdict_text,
 )
+from nmt_report.diagnosis_curves import (
+    Course,
+    Models,
+    courses,
+    harmonic_courses,
+    level_names,
+    on_one_scale,
+)
+from nmt_report.diagnosis_figures import Shown, course_figure, harmonic_figure, residual_figure
 from nmt_report.html_page import PageColumn, Row, Table, part
 from nmt_report.law_figures import law_figures, law_table
 from nmt_report.quantity_format import plain, significant
@@ -337,18 +337,20 @@ def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
             cells.append(Markup("<b>{}</b>").format(text) if size > _LARGE else text)
             cells.append(f"{significant(_number(values, f'{key}_unit'), 3)} {unit}")
         rows.append(Row([*cells, str(values.get("rows", ""))]))
-    head = [
-        PageColumn("Test", kind="text"),
-        PageColumn("Observable", kind="text"),
-        PageColumn("Before", "standard deviations"),
-    ]
-    head.append(PageColumn("Before", "rms"))
-    if after:
-        head += [PageColumn("After", "standard deviations"), PageColumn("After", "rms")]
-    note = (
-        f"Bold: more than {_LARGE:g} standard deviations. Each level or test is predicted from a fit that excludes it."
+    first, last = (
+        ("model as given", "re-fitted") if verdict is Verdict.CALIBRATION else ("re-fitted", "with the effect")
     )
-    return Table([*head, PageColumn("Values")], rows, note, "By observable, on held-out data")
+    head = [PageColumn("Test", kind="text"), PageColumn("Observable", kind="text")]
+    for name in (first, last)[: 2 if after else 1]:
+        head += [PageColumn(f"Residual {name}", "standard deviations"), PageColumn(f"Residual {name}", "rms")]
+    note = f"Bold: more than {_LARGE:g} standard deviations."
+    if not gap.held_out:
+        return Table([*head, PageColumn("Values")], rows, f"{note} All data are in the fits.", "By observable")
+    note += (
+        " Each value is predicted from fits that exclude it; one that several fits exclude counts in each. The rms of "
+        "all rows is the residual above."
+    )
+    return Table([*head, PageColumn("Held-out values")], rows, note, "By observable, on held-out data")
 
 
 def remainder_table(rest: Remainder | None) -> Table | None:
@@ -482,8 +484,8 @@ def _residual_tests(d: Diagnosis) -> Table | None:
     )
     note = (
         "Each test looks for one trace that an effect outside the library would leave in the residual of the best "
-        "explanation. p: chance of as large a statistic from noise alone; with so many tests the smallest is corrected "
-        f"(Holm). Below {_LEFT_OVER:g} something is left."
+        "explanation, which makes its statistic large and positive. p: chance of as large a statistic from noise; "
+        f"with so many tests the smallest is corrected (Holm). Below {_LEFT_OVER:g} something is left."
     )
     return Table(head, rows, note)
 

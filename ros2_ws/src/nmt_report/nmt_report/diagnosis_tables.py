@@ -10,7 +10,7 @@ from rich.text import Text
 
 from nmt_core.text.number_words import percent, value_text
 from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN, Diagnosis, Verdict
-from nmt_report.diagnosis_words import (
+from nmt_diagnose.say.words import (
     class_text,
     effect_text,
     is_partial,

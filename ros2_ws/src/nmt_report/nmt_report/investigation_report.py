@@ -12,9 +12,9 @@ from markupsafe import Markup
 from nmt_diagnose.diagnose import DiagnosisOutcome
 from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.investigation.investigation_record import AskedTest, InvestigationRecord
+from nmt_diagnose.say.words import verdict_text
 from nmt_report.diagnosis_files import drawn
 from nmt_report.diagnosis_report import course_figures, observable_table, place_drawing, remainder_table
-from nmt_report.diagnosis_words import verdict_text
 from nmt_report.figure_parts import plot_panels, report_figure
 from nmt_report.html_page import Table, part
 from nmt_report.quantity_format import plain, significant

@@ -217,6 +217,11 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
         "Explained: share of the response’s power around the mode that the fit explains. From averages: starting "
         "values, from Hann-windowed averages; the window adds to their damping. Complexity: ‖Im ψ‖/‖ψ‖."
     )
+    if test.further_modes:
+        note += (
+            f" Not kept: beyond the {len(test.modes)} lowest modes, which is the number asked for, at most that of the "
+            "response points."
+        )
     tables = [text_table(head, rows, note), _shape_table(test)]
     if exact is not None:
         head = [

@@ -197,6 +197,7 @@ def show(diagnosis: Diagnosis, console: Console, verbose: bool = False) -> None:
     """Print the verdict, the places, the ranking, what was re-fitted and the next test; ``verbose``: every table."""
     from rich.text import Text
 
+    from nmt_diagnose.say.words import answered, verdict_text
     from nmt_report.diagnosis_tables import (
         calibration_table,
         next_table,
@@ -206,7 +207,6 @@ def show(diagnosis: Diagnosis, console: Console, verbose: bool = False) -> None:
         visible_sentence,
         visible_table,
     )
-    from nmt_report.diagnosis_words import answered, verdict_text
 
     text, kind = verdict_text(diagnosis)
     style = {"good": "bold green", "partly": "bold yellow", "bad": "bold red"}[kind]

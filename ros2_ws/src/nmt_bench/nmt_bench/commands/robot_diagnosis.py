@@ -112,7 +112,7 @@ def _show(diagnosis: RobotDiagnosis, console: Console) -> None:
             table.add_row(joint.joint.name, f"not judged: {joint.remains}", "", "")
             continue
         left = f"{joint.left:.3g} {joint.joint.effort_unit} ({percent(joint.left / joint.torque)})"
-        table.add_row(joint.joint.name, joint.difference, percent(joint.closed), left)
+        table.add_row(joint.joint.name, joint.difference, percent(joint.closed) if joint.differs else "", left)
     console.print(table)
     for sentence in () if diagnosis.group is None else diagnosis.group.sentences:
         console.print(Text(f"Units: {sentence}"), soft_wrap=True)

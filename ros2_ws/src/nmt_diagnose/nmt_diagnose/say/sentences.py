@@ -21,19 +21,8 @@ from nmt_diagnose.ledger.diagnosis import (
 )
 from nmt_diagnose.ledger.gap import NOISE
 from nmt_diagnose.ledger.size import Objection
+from nmt_diagnose.say.words import detail_text, parameters_text, place_text, probability_text
 from nmt_diagnose.thresholds import THRESHOLDS
-
-PLACES = {
-    "structure": "the structure",
-    "boundary": "the clamping",
-    "joint": "a joint or contact",
-    "exciter": "the exciter",
-    "force_sensor": "the force sensor",
-    "response_sensor": "a response sensor",
-    "controller": "the controller",
-    "time": "a change over time",
-}
-
 
 UNITS_FIRST = "Effects are judged once units and signs of the recording are right."
 """Last sentence of a diagnosis that ends with channels of another unit or sign than the model predicts."""
@@ -80,7 +69,9 @@ def sentences(
             "The gap lies in parameters that the model already has.",
             f"{small or 'No unmodelled effect is needed.'} {_common_factor(calibration)}The parameters that moved most "
             f"relative to their uncertainty: {_farthest(calibration)}.",
-            _how_far(gap, "Re-fitting them", f"{gap.before:.2f} with the model as given", "re-fitted"),
+            _how_far(
+                gap, "Re-fitting them", f"{gap.before:.2f} with the model as given", "re-fitted", "model as given"
+            ),
         )
     place = where_words(where)
     if verdict is Verdict.UNKNOWN:
@@ -89,7 +80,7 @@ def sentences(
         known = f"Nothing in the library explains {most} of it."
         return (place, known + _nearest(ranking, named, gap), *_ahead(ahead))
     head = ranking[0]
-    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
+    values = parameters_text(head.parameters)
     what = f"{_title(head.effect)}{_at(named)}" + (f" ({values})" if values else "")
     if not head.adequate:
         which = (
@@ -109,7 +100,7 @@ def sentences(
     worse = " (which predicts worse)" if gap.before > gap.as_given else ""
     before = f"{gap.as_given:.2f} with the model as given, {gap.before:.2f} with its parameters re-fitted{worse}"
     what, after = ("Correcting it", "with it corrected") if corrected else ("Adding it", "with it added")
-    far = _how_far(gap, what, before, after)
+    far = _how_far(gap, what, before, after, "re-fitted model")
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
 
 
@@ -164,7 +155,7 @@ def place_words(head: Ranked) -> str:
     likely = {at: p for at, p in head.places.items() if p > THRESHOLDS.verdict.as_likely_share * best}
     if len(likely) < 2:
         return ""
-    return "; its place: " + ", ".join(f"{detail_words(at) or at} ({_sure(p)})" for at, p in likely.items())
+    return "; its place: " + ", ".join(f"{detail_text(at) or at} ({_sure(p)})" for at, p in likely.items())
 
 
 def _share_of(gap: Gap) -> str:
@@ -199,8 +190,8 @@ def too_small(explanation: Explanation, row: Ranked, size: str) -> str:
 
 
 def _with_values(explanation: Explanation, found: Mapping[str, Value]) -> str:
-    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in found.items())
-    return f"{joined(_title(cause.effect) for cause in explanation.causes)}{_at(explanation)} ({values})"
+    what = joined(_title(cause.effect) for cause in explanation.causes)
+    return f"{what}{_at(explanation)} ({parameters_text(found)})"
 
 
 def relieving(explanation: Explanation, found: Mapping[str, Value]) -> str:
@@ -218,11 +209,10 @@ def _nearest(ranking: Sequence[Ranked], named: Explanation | None, gap: Gap) -> 
     if gap.closed <= 0.0:
         return " No effect of it predicts data held out from the fit better than the model alone."
     head = ranking[0]
-    values = ", ".join(f"{k} = {value_text(v.value, v.std, v.unit)}" for k, v in head.parameters.items())
     closes = f" and closes {100.0 * gap.closed:.0f} % of it" if math.isfinite(gap.closed) else ""
     return (
-        f" What comes nearest is {_title(head.effect)}{_at(named)} ({values}){closes}: from {gap.before:.2f} to "
-        f"{gap.after:.2f} standard deviations (rms) where noise gives 1."
+        f" What comes nearest is {_title(head.effect)}{_at(named)} ({parameters_text(head.parameters)}){closes}: from "
+        f"{gap.before:.2f} to {gap.after:.2f} standard deviations (rms) where noise gives 1."
     )
 
 
@@ -244,18 +234,14 @@ def where_words(where: Sequence[PlaceShare]) -> str:
     if not where:
         return "Where the gap lies could not be told."
     first = where[0]
-    detail = f", {detail_words(first.detail)}," if first.detail and detail_words(first.detail) else ""
-    text = f"The gap lies in {PLACES.get(first.place, first.place)}{detail.rstrip(',')}"
-    text += f" (probability {_sure(first.p)})"
+    text = f"The gap lies in {place_text(first.place, first.detail)} (probability {_sure(first.p)})"
     others = [item for item in where[1:3] if item.p > THRESHOLDS.verdict.other_location_probability]
     if others:
-        text += "; otherwise " + " or ".join(
-            f"{PLACES.get(item.place, item.place)} ({_sure(item.p)})" for item in others
-        )
+        text += "; otherwise " + " or ".join(f"{place_text(item.place)} ({_sure(item.p)})" for item in others)
     return text + "."
 
 
-def _how_far(gap: Gap, what: str, before: str, after: str) -> str:
+def _how_far(gap: Gap, what: str, before: str, after: str, base: str) -> str:
     if not math.isfinite(gap.closed):
         return (
             f"{what} takes the fit from {gap.before:.2f} to {gap.after:.2f} standard deviations (rms; 1 is what "
@@ -270,8 +256,9 @@ def _how_far(gap: Gap, what: str, before: str, after: str) -> str:
     closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
     interval = f" (90 % interval {limits})" if limits else ""
     return (
-        f"{what} closes {closed} of the gap on data held out from the fit{interval}. The residual there, in standard "
-        f"deviations rms: {before}, {gap.after:.2f} {after}; scatter alone leaves {gap.floor:.2f}."
+        f"{what} closes {closed} of the gap on data held out from the fit{interval}. Residual there, in standard "
+        f"deviations (rms): {before}, {gap.after:.2f} {after}; scatter alone leaves {gap.floor:.2f}. The gap is what "
+        f"the {base} leaves beyond scatter."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 
@@ -293,20 +280,11 @@ def _title(effect: str) -> str:
 
 def _at(explanation: Explanation | None) -> str:
     locations = () if explanation is None else explanation.locations
-    details = [detail_words(location.detail) for location in locations]
+    details = [detail_text(location.detail, location.kind) for location in locations]
     found = " and ".join(dict.fromkeys(part for part in details if part))
-    return f" at {found}" if found else ""
-
-
-def detail_words(detail: str) -> str:
-    """A point or channel in words; empty where it says no more than the place."""
-    if detail.isdigit():
-        return f"point {detail}"
-    if len(detail) > 1 and detail[0] in "fxva" and detail[1:].isdigit():
-        return f"channel {detail}"
-    return "" if detail in ("time", "joint", "clamp") else detail
+    return f" {found}" if found.startswith(("between", "over")) else f" at {found}" if found else ""
 
 
 def _sure(p: float) -> str:
-    """A probability without more certainty than two digits show."""
-    return "over 99 %" if p > 0.995 else f"{100.0 * p:.0f} %"
+    """A probability in running text."""
+    return probability_text(p).replace("> ", "over ").replace("< ", "below ")

@@ -10,7 +10,8 @@ from typing import Any
 from nmt_core.text.number_words import value_text
 from nmt_diagnose.effects.location import effect_words
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Value, Verdict
-from nmt_diagnose.say.sentences import UNITS_FIRST, detail_words
+from nmt_diagnose.say.sentences import UNITS_FIRST
+from nmt_diagnose.say.words import detail_text
 from nmt_diagnose.units.random_effects import Components, Estimate, components
 
 _ALIKE = 0.05
@@ -161,14 +162,14 @@ def explanation_words(label: str) -> str:
     if label == "channel":
         return _NAMED[label]
     effect, _, where = label.partition("@")
-    places = [detail_words(part) for part in where.split(" + ")] if where else []
+    places = [detail_text(part) for part in where.split(" + ")] if where else []
     at = " and ".join(dict.fromkeys(place for place in places if place))
     return effect_words(effect) + (f" at {at}" if at else "")
 
 
 def _label(diagnosis: Diagnosis) -> str:
     if diagnosis.law is not None and diagnosis.law_leads:
-        return _LAW + " and ".join(f"{law.family} ({detail_words(law.place)})" for law in diagnosis.law.laws)
+        return _LAW + " and ".join(f"{law.family} ({detail_text(law.place)})" for law in diagnosis.law.laws)
     if diagnosis.sentences[-1:] == (UNITS_FIRST,):
         return "channel"
     if diagnosis.verdict is not Verdict.EFFECT or not diagnosis.ranking:

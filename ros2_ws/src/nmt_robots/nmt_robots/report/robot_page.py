@@ -82,7 +82,7 @@ def _named(diagnosis: RobotDiagnosis) -> str:
     """What differs joint by joint with sizes, or by cause where many joints differ."""
     differing = [joint for joint in diagnosis.joints if joint.differs]
     if not differing:
-        return "No joint differs from the model with a known cause."
+        return "In no joint does the model differ from the robot by a known cause."
     if len(differing) <= _LISTED:
         return "; ".join(f"{joint.joint.name}: {joint.difference}" for joint in differing) + "."
     causes: dict[str, list[str]] = {}
@@ -100,9 +100,13 @@ def _unit(diagnosis: RobotDiagnosis) -> str:
 def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
     values = {name: rms_text(diagnosis.left_over(name)) for name in ("torque", "unchanged", "left")}
     return [
-        ("Torque", values["torque"], f"rms over the joints{', computed' if diagnosis.log.is_arithmetic else ''}"),
-        ("Left by the model as given", values["unchanged"], "held-out seconds"),
-        ("Left by the changed model", values["left"], "held-out seconds"),
+        (
+            "Torque of the log",
+            values["torque"],
+            f"rms over the joints{', computed by the control law' if diagnosis.log.is_arithmetic else ''}",
+        ),
+        ("Residual of the model as given", values["unchanged"], "on held-out seconds"),
+        ("Residual of the changed model", values["left"], "on held-out seconds"),
     ]
 
 
@@ -175,7 +179,7 @@ def _joint_row(joint: JointVerdict) -> tuple[str, ...]:
         return (joint.joint.name, "not judged", "", "", joint.remains)
     impossible = "; ".join(term.text() for term in joint.terms if term.impossible < 0.0)
     words = f"{joint.difference}. {impossible}" if impossible else joint.difference
-    closed = percent(joint.closed) if is_known(joint.closed) else ""
+    closed = percent(joint.closed) if joint.differs and is_known(joint.closed) else ""
     return (joint.joint.name, words, closed, significant(joint.left, 3), joint.remains)
 
 

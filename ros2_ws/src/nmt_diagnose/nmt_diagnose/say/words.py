@@ -12,9 +12,18 @@ from nmt_core.text.number_words import percent, plain, share_with_interval, valu
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.location import effect_words, joined
 from nmt_diagnose.ledger.diagnosis import NULL, TOO_WEAK, UNKNOWN, Answer, Diagnosis, Gap, Ranked, Value, Verdict
-from nmt_diagnose.say.sentences import PLACES
 from nmt_rig.rig import Rig
 
+PLACES = {
+    "structure": "the structure",
+    "boundary": "the clamping",
+    "joint": "a joint or contact",
+    "exciter": "the exciter",
+    "force_sensor": "the force sensor",
+    "response_sensor": "a response sensor",
+    "controller": "the controller",
+    "time": "a change over time",
+}
 VERDICTS = {
     Verdict.NONE: ("no gap beyond noise", "good"),
     Verdict.CALIBRATION: ("the model's own parameters were off", "good"),
@@ -25,6 +34,8 @@ _NO_GAP = (Verdict.NONE, Verdict.CALIBRATION)
 QUESTIONS = ("Where", "Which", "How far")
 
 _NAMED = 4
+_SYMBOLS = {"factor": "factor on the model's value", "tau": "delay τ", "g": "relative error g", "e": "relative error e"}
+"""What parameters mean whose symbol alone does not say it."""
 _LETTERS = {"f": "force", "x": "displacement", "v": "velocity", "a": "acceleration"}
 
 
@@ -62,12 +73,12 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
 
 def answered(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Sentences with the question that each answers, empty where it answers none; without the warnings."""
-    said = [sentence for sentence in diagnosis.sentences if sentence not in diagnosis.warnings]
+    others = [sentence for sentence in diagnosis.sentences if sentence not in diagnosis.warnings]
     # Where nothing is named nothing says how far the gap shrinks.
     names = list(QUESTIONS[:2] if diagnosis.verdict is Verdict.UNKNOWN else QUESTIONS)
     names += ["What next"] if diagnosis.next_test else []
-    names += [""] * (len(said) - len(names))
-    return list(zip(names, said, strict=False))
+    names += [""] * (len(others) - len(names))
+    return list(zip(names, others, strict=False))
 
 
 def is_partial(diagnosis: Diagnosis) -> bool:
@@ -108,7 +119,7 @@ def answers_text(answers: Sequence[Answer]) -> str:
 
 def _alternatives_text(names: Sequence[str]) -> str:
     parts = [frozenset(name.split(" + ")) for name in names]
-    plain_ones = [name for name, own in zip(names, parts, strict=True) if not any(other < own for other in parts)]
+    plain_ones = [name for name, part in zip(names, parts, strict=True) if not any(other < part for other in parts)]
     shown = [effect_text(name) for name in plain_ones[:_NAMED]]
     more = len(plain_ones) - len(shown)
     return " or ".join(shown) + (f" or one of {more} more" if more else "")
@@ -129,13 +140,13 @@ def detail_text(detail: str, place: str = "") -> str:
     pair = re.fullmatch(r"(\d+)\s*[-–]\s*(\d+)", detail)
     if pair:
         return f"between points {pair[1]} and {pair[2]}"
-    seen = re.fullmatch(r"([a-z]\w*)<(\d+)", detail)
-    if seen:
-        return f"channel {seen[1]} picking up point {seen[2]}"
+    picked_up = re.fullmatch(r"([a-z]\w*)<(\d+)", detail)
+    if picked_up:
+        return f"channel {picked_up[1]} picking up point {picked_up[2]}"
     if place.endswith("sensor") or re.fullmatch(r"[fxva]\d+", detail):
         return f"channel {detail}"
     if (place, detail) in (("time", "time"), ("joint", "joint"), ("boundary", "clamp")):
-        return ""
+        return ""  # it says no more than the place
     return {"time": "over time", "cycles": "over the number of periods"}.get(detail, detail)
 
 
@@ -172,8 +183,8 @@ def parameters_text(parameters: Mapping[str, Value]) -> str:
     """Parameters with uncertainties, separated by commas."""
     groups: dict[str, list[str]] = {}
     for name, v in parameters.items():
-        label, _, own = name.rpartition(".") if "@" in name or "." in name else ("", "", name)
-        groups.setdefault(label, []).append(f"{own} = {value_text(v.value, v.std, v.unit)}")
+        label, _, symbol = name.rpartition(".") if "@" in name or "." in name else ("", "", name)
+        groups.setdefault(label, []).append(f"{_SYMBOLS.get(symbol, symbol)} = {value_text(v.value, v.std, v.unit)}")
     return "; ".join((f"{_label_text(label)}: " if label else "") + ", ".join(items) for label, items in groups.items())
 
 

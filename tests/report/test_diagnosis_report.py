@@ -109,7 +109,10 @@ def test_a_class_is_named_with_its_splitting_test() -> None:
     assert "one class: these tests cannot distinguish them; the test that would is below" in text
     assert "./nmt run beam --levels 1.5:3:6 --out high" in text
     assert "k = (20.00 ± 0.31)·10⁶ N/m³" in text
-    assert "air drag at point 3: c2 = 0.40 ± 0.10 N s²/m²; force gain at channel f2: relative error g = 0.0100 ± 0.0020" in text
+    assert (
+        "air drag at point 3: c2 = 0.40 ± 0.10 N s²/m²; force gain at channel f2: relative error g = 0.0100 ± 0.0020"
+        in text
+    )
     assert "local_elements.joint.slip_force_n" in text
 
 

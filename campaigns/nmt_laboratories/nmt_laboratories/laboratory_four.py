@@ -53,8 +53,11 @@ FAULTS: dict[str, tuple[str, ...]] = {
     "wrap": ("wrap",),
 }
 """By fault of the log: findings that name it."""
-SHARED = {"gravity": "body of {}_link", "torque_constant": "torque constant of {}"}
-"""Words of all joints together that name a cause at a joint."""
+SHARED = {
+    "gravity": ("body of {}_link", "payload on {}_link that is not in the file"),
+    "torque_constant": ("torque constant of {}",),
+}
+"""Words of all joints together that name a cause at a joint; a heavier last link is a payload at its centre."""
 UNKNOWN = ("temperature", "band", "hose")
 NAMED: dict[str, tuple[str, ...]] = {"temperature": ("changing_friction",)}
 """Terms that name what no row of the library has as a whole."""
@@ -274,7 +277,7 @@ def _as_truth(cause: Cause, names: tuple[str, ...], links: list[dict[str, Any]])
     named, partly = EFFECTS.get(cause.name, (FAULTS.get(cause.name, NAMED.get(cause.name, ())), ()))
     where = cause.name in FAULTS
     if cause.name in SHARED:
-        named = (*named, SHARED[cause.name].format(names[cause.joint]))
+        named = (*named, *(words.format(names[cause.joint]) for words in SHARED[cause.name]))
     truth: dict[str, Any] = {
         "name": cause.name, "of": "log" if where else "joint",
         "joint": "" if cause.joint < 0 else names[cause.joint],

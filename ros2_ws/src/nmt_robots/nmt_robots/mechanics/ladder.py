@@ -443,11 +443,15 @@ def explain(
 
 
 def _asked(problem: JointProblem, space: Space, without: frozenset[str]) -> tuple[Chosen, list[tuple[str, str]]]:
-    """The choice, and keys and shapes of its causes; what is not credible where all is free is not asked again."""
-    library = [item for item in space.columns() if item.term not in without]
+    """The choice, and keys and shapes of its causes; what is not credible where all is free is not asked again.
+
+    The usual effects are in every fit. One that is no cause still takes its torque, which another cause would else have.
+    """
+    library = [item for item in space.columns() if item.term not in without or item.term in USUAL]
     while True:
         chosen = Choice(space).grow(library, _CAUSES_AT_MOST, _ALIKE)
-        names, effects, refused = [(cause.term, cause.variant) for cause in chosen.causes], list(problem.usual), set()
+        names = [(cause.term, cause.variant) for cause in chosen.causes if cause.term not in without]
+        effects, refused = list(problem.usual), set()
         for name in names:
             rival = problem.rival(*name)
             if rival is None:

@@ -160,6 +160,12 @@ class JointVerdict:
         if self.is_as_in_the_model:
             return "nothing: as in the model"
         share = percent(self.unchanged / self.torque)
+        fitted_terms = [term.brief for term in self.terms if term.share >= THRESHOLDS.smallest_share]
+        if self.adequate and fitted_terms:
+            words = " or ".join(dict.fromkeys(fitted_terms))
+            return self.joint.units(
+                f"open: {words} would take the {share} of the torque that the model leaves, none for certain"
+            )
         return self.joint.units(f"not known: the model leaves {share} of the torque, no cause is claimed")
 
     def _at_its_middle(self, spring: JointTerm) -> str:
@@ -390,13 +396,17 @@ def _certainty(
     return std, part, bool(certain)
 
 
-def uncertain_means(results: list[JointMechanics]) -> frozenset[str]:
-    """Causes with a mean of their own that is certain, as an offset, where they are not."""
-    return frozenset(
-        share.effect.key
+def uncertain_causes(results: list[JointMechanics]) -> frozenset[str]:
+    """Causes that are not certain over all readings: those that scale the torque, with which all other sizes go; where
+    there are none, those with a mean of their own, which is certain as an offset.
+    """
+    uncertain = [
+        share.effect
         for share in results[0].shares
-        if share.effect.key in _WITH_A_MEAN & set(results[0].causes) and not _certainty(results, share, 0.0)[2]
-    )
+        if share.effect.key in results[0].causes and not _certainty(results, share, 0.0)[2]
+    ]
+    scaling = frozenset(effect.key for effect in uncertain if effect.made_of_torque)
+    return scaling or frozenset(effect.key for effect in uncertain if effect.key in _WITH_A_MEAN)
 
 
 def by_lag_of_torque(log: JointLog, reading: Reading) -> dict[int, dict[str, float]]:

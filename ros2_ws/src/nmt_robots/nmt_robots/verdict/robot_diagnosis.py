@@ -45,7 +45,7 @@ from nmt_robots.verdict.joint_verdict import (
     by_shared_delay,
     joint_verdict,
     scale_findings,
-    uncertain_means,
+    uncertain_causes,
     undisturbed,
     unjudged,
     values_in_model,
@@ -203,7 +203,7 @@ class RobotDiagnosis:
         log = f"The log has {faults} faults." if faults > 1 else "The log has one fault." if faults else _NO_FAULT
         differing = sum(joint.differs for joint in judged)
         open_joints = sum(not joint.differs and not joint.is_as_in_the_model for joint in judged)
-        unknown = f", in {open_joints} more by an unknown one" if open_joints else ""
+        unknown = f"; in {open_joints} more the cause is open" if open_joints else ""
         bodies = self.bodies.words if self.bodies is not None else ""
         bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
         as_given, named = (rms_text(self.left_over(which)) for which in ("unchanged", "left"))
@@ -493,8 +493,8 @@ def _understood(
 
     A reading other than the log as it is has to explain more than that does with the causes that it needs: what a
     gain or a spring does to the torque would else be made of delays. A cause that leaves no less on the last part in
-    one of the readings, that only its mean is certain of, or that all joints were asked for, is left out and the rest
-    are compared again.
+    one of the readings, that is not certain over them, or that all joints were asked for, is left out and the rest are
+    compared again.
 
     Args:
         of_all: keys of effects that all joints were asked for.
@@ -541,7 +541,7 @@ def _understood(
         while True:
             items = results[number]
             causes = frozenset(items[0].causes)
-            doubted = uncertain_means(items).union(*(item.lost for item in items))
+            doubted = uncertain_causes(items).union(*(item.lost for item in items))
             more = (causes & doubted | (of_all if causes & of_all else frozenset())) - refused
             if not more:
                 break

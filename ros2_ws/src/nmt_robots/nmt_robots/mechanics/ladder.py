@@ -445,7 +445,7 @@ def explain(
 def _asked(problem: JointProblem, space: Space, without: frozenset[str]) -> tuple[Chosen, list[tuple[str, str]]]:
     """The choice, and keys and shapes of its causes; what is not credible where all is free is not asked again.
 
-    The usual effects are in every fit. One that is no cause still takes its torque, which another cause would else have.
+    The usual effects are in every fit. One that is no cause still takes its torque, lest another cause have it.
     """
     library = [item for item in space.columns() if item.term not in without or item.term in USUAL]
     while True:

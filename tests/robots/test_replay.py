@@ -196,11 +196,11 @@ def test_the_sentence_keeps_angles_and_slides_apart() -> None:
     replay = Replay("", ("elbow", "wrist", "lift"), (True, True, False), "tool (hand)", 0.01, np.arange(2),
                     np.zeros((2, 60, 3)), by_model, by_model, {})  # fmt: skip
     assert replay.sentence == (
-        "Error (rms) of simulations from measured states after 0.2 and 0.5 s, as given: tool (hand) 5 and 5 mm, "
-        "revolute joints 35.4 and 35.4 mrad, sliding joints 2 and 2 mm. "
+        "Simulated for 0.5 s from measured states, off by (rms): tool (hand) 5 mm as given; "
+        "revolute joints 35.4 mrad as given; sliding joints 2 mm as given. "
     )
     early = replace(by_model, lasted=np.array([60, 30]))
-    assert "tool (hand) 5 and > 5 mm" in replace(replay, by_model=early, by_changed=early).sentence
+    assert "tool (hand) > 5 mm as given" in replace(replay, by_model=early, by_changed=early).sentence
 
 
 def test_each_limb_has_an_end(tmp_path: Path) -> None:

@@ -42,7 +42,7 @@ def test_a_healthy_log_keeps_silent() -> None:
     assert strayed.cause == "not known"
     assert strayed.difference == "not known: the model leaves 50 % of the torque, no cause is claimed"
     assert (
-        "In 0 of 1 joints the model differs from the robot by a known cause; in 1 more the cause is open."
+        "0 of 1 joints differ from the model with the cause identified, 1 more with the cause open."
         in replace(diagnosis, joints=(strayed,)).verdict
     )
     assert not [finding for finding in diagnosis.findings if finding.fault]

@@ -361,7 +361,7 @@ def _bars(name: str, data: RunReportData) -> str:
 
 
 def _reference_caption(data: RunReportData) -> Markup:
-    below = Markup(" Below: deviation from the reference at the same <i>q</i>.")
+    below = Markup(" Below: deviation from the computed mode at the same <i>q</i>.")
     return below if data.reference is not None else Markup("")
 
 

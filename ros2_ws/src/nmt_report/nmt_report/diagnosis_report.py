@@ -277,9 +277,9 @@ def _ranking(d: Diagnosis) -> Table:
         PageColumn("Gap closed", "%, held-out data"),
     )
     note = (
-        "All explanations are fitted to the same data with the model’s own parameters free. The probability weighs the "
-        "fit against the number of parameters. Strength: the estimate over its standard deviation "
-        "from scatter of the data alone (of a factor its logarithm); ± also holds the uncertainty of gains and "
+        "These explanations are fitted to the same data with the model’s own parameters free. The probability weighs "
+        "the fit against the number of parameters. Strength: the estimate over its standard deviation "
+        "from scatter of the data alone; ± also holds the uncertainty of gains and "
         "parameters. Gap closed: share of the residual beyond "
         "noise that the explanation removes from held-out data, with its 90 % interval; negative: it predicts worse "
         "than the model without it. Only the most probable explanations are judged on held-out data."
@@ -299,7 +299,7 @@ def _places(d: Diagnosis) -> Table | None:
         for number, item in enumerate(d.where)
     ]  # fmt: skip
     head = [PageColumn(name, kind="text") for name in ("Place", "Most probably", "Probability")]
-    note = "Probability: sum over all explanations at the place, those outside the library included."
+    note = "Probability that the cause, in the library or not, is at the place."
     return Table(head, rows, note)
 
 
@@ -347,8 +347,8 @@ def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
     if not gap.held_out:
         return Table([*head, PageColumn("Values")], rows, f"{note} All data are in the fits.", "By observable")
     note += (
-        " Each value is predicted from fits that exclude it; one that several fits exclude counts in each. The rms of "
-        "all rows is the residual above."
+        " Each value is predicted from fits that exclude it; a value that several fits exclude counts in each. The rms "
+        "of all rows is the residual above."
     )
     return Table([*head, PageColumn("Held-out values")], rows, note, "By observable, on held-out data")
 
@@ -483,8 +483,8 @@ def _residual_tests(d: Diagnosis) -> Table | None:
         PageColumn("Reading", kind="text"),
     )
     note = (
-        "Each test looks for one trace that an effect outside the library would leave in the residual of the best "
-        "explanation, which makes its statistic large and positive. p: chance of as large a statistic from noise; "
+        "Each test looks for one kind of structure in the residual of the best explanation; a large positive statistic "
+        "shows it, as an effect outside the library would. p: chance of as large a statistic from noise; "
         f"with so many tests the smallest is corrected (Holm). Below {_LEFT_OVER:g} something is left."
     )
     return Table(head, rows, note)
@@ -573,14 +573,18 @@ def _candidates(d: Diagnosis) -> Table | None:
         PageColumn("Explanation", kind="text"),
         PageColumn("Place"),
         PageColumn("ln evidence", "over no effect"),
-        PageColumn("χ²", "all data"),
+        PageColumn("χ²", "all data, stated uncertainties"),
         PageColumn("Values"),
         PageColumn("Parameters", "added"),
         PageColumn("Strength", "over its scatter"),
         PageColumn("Converged"),
         PageColumn("Left out", "as", "text"),
     )
-    return Table(head, rows)
+    note = (
+        "χ² is in the uncertainties that the recordings state; other residuals on this page are in those that the best "
+        "explanation shows. What is far behind the best was not fitted to the end."
+    )
+    return Table(head, rows, note)
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------

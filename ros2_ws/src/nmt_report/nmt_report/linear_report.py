@@ -103,11 +103,15 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
             else "; the response is not linear at this level"
         )
     cards = [
-        ("Target mode", f"{plain(target.frequency_hz, 4)} Hz", f"± {significant(target.frequency_std, 1)} Hz"),
+        (
+            "Target mode",
+            f"{plain(target.frequency_hz, 4)} Hz",
+            f"± {significant(target.frequency_std, 1)} Hz, scatter of the record alone",
+        ),
         (
             "Damping ratio",
             f"{plain(100 * target.damping_ratio, 4)} %",
-            f"± {significant(100 * target.damping_std, 1)} %",
+            f"± {significant(100 * target.damping_std, 1)} %, scatter of the record alone",
         ),
     ]
     if test.plant is not None:
@@ -219,8 +223,7 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
     )
     if test.further_modes:
         note += (
-            f" Not kept: beyond the {len(test.modes)} lowest modes, which is the number asked for, at most that of the "
-            "response points."
+            f" Not kept: beyond the {len(test.modes)} modes that were asked for, at most one for each response point."
         )
     tables = [text_table(head, rows, note), _shape_table(test)]
     if exact is not None:
@@ -269,7 +272,7 @@ def _input_table(test: LinearTest) -> Table:
     volts = exciters if test.voltage_frfs else ()
     head = [
         ("Force at", ""),
-        *((f"force per volt of exciter {point}", "N/V") for point in volts),
+        *((f"force per volt, exciter at point {point}", "N/V") for point in volts),
         *((f"γ², point {point}", "mean") for point in test.points),
     ]
     per_volt = test.force_per_volt()[0][line] if volts else np.empty((len(exciters), 0))
@@ -281,7 +284,10 @@ def _input_table(test: LinearTest) -> Table:
         ]
         for row, (exciter, frf) in enumerate(zip(exciters, test.force_frfs, strict=True))
     ]
-    note = f"Force per volt at {test.frequency_hz[line]:.5g} Hz. γ²: mean coherence, partial with several forces."
+    note = (
+        f"Force per volt by averaged spectra at {test.frequency_hz[line]:.5g} Hz, which the window smears. γ²: mean "
+        "coherence, partial with several forces."
+    )
     return text_table(head, rows, note)
 
 

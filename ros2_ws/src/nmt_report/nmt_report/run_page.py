@@ -161,7 +161,7 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
     ]
     if data.reference is not None:
         omega, damping = worst_deviation(data)
-        label = f"Largest deviation from {data.reference.label}"
+        label = f"Largest deviation from the computed mode, {data.reference.label}"
         unit = " points" if feeds_its_motion(points) else ""
         cards.append((label, f"f̃ {_percent(omega)}, δ̃ {_percent(damping)}{unit}", ""))
         cards += [
@@ -317,7 +317,7 @@ def _budget_notes(data: RunReportData) -> list[str]:
         notes.append(
             "Single-point excitation: deviation of a simulated run of the rig, this one or that of --model-run, "
             "from its reference at the same modal amplitude. It counts as uncertainty and is not corrected: "
-            "where it is of this run, ± holds its deviation by construction."
+            "taken from this run, it makes ± as large as the deviation, which is then no evidence."
         )
     return [*notes, *left_out(data.budget_inputs)]
 

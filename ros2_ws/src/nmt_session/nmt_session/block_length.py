@@ -91,13 +91,11 @@ def choose_block(
         if share <= _SHARE:
             chosen, cost = length, share
     bandwidth, allowed = wanted_bandwidth(linear, settings), allowed_bandwidth(settings, chosen)
-    verb = "limits it to" if allowed < bandwidth else "allows"
-    reason = (
-        f"for the mode at {frequency:.4g} Hz a loop without dead time would have a bandwidth of {bandwidth:.3g} rad/s; "
-        f"the dead time of {PHASE.dead_time_blocks:g} blocks {verb} {allowed:.3g} rad/s"
-    )
+    reason = f"for the mode at {frequency:.4g} Hz the loop has a bandwidth of {min(bandwidth, allowed):.3g} rad/s"
+    if allowed < bandwidth:
+        reason += f" ({bandwidth:.3g} without the dead time of {PHASE.dead_time_blocks:g} blocks)"
     if chosen > USUAL:
-        reason += f"; compared with blocks of {1e3 * USUAL:g} ms a level takes {100.0 * cost:.1f} % longer"
+        reason += f"; a level takes {100.0 * cost:.1f} % longer than with blocks of {1e3 * USUAL:g} ms"
     else:
         reason += "; longer blocks would cost more bench time"
     return BlockChoice(max(2, round(chosen * sample_rate)), tick_blocks(chosen), f"chosen: {reason}")

@@ -16,7 +16,8 @@ def power_of_ten(exponent: int) -> str:
 
 def plain(value: float, decimals: int) -> str:
     """Fixed-point text with a true minus sign; an em dash for a value that is not finite."""
-    return f"{value:.{decimals}f}".replace("-", "−") if math.isfinite(value) else "—"
+    # Adding 0 takes the sign from a zero.
+    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "−") if math.isfinite(value) else "—"
 
 
 def significant(value: float, digits: int = 4) -> str:

@@ -189,8 +189,11 @@ def parameters_text(parameters: Mapping[str, Value]) -> str:
 
 
 def smallest_text(parameters: Mapping[str, Value]) -> str:
-    """The smallest parameters that would show, two digits each."""
-    return parameters_text({name: replace(v, value=float(f"{v.value:.1e}")) for name, v in parameters.items()})
+    """The smallest parameters that would show, two digits each; of a factor two digits of what it changes."""
+    base = {name: float(name == "factor") for name in parameters}
+    return parameters_text(
+        {name: replace(v, value=base[name] + float(f"{v.value - base[name]:.1e}")) for name, v in parameters.items()}
+    )
 
 
 def _label_text(label: str) -> str:

@@ -39,7 +39,7 @@ class Reading:
     def text(self) -> str:
         """In words."""
         words = ["each command held until the next" if self.command == HELD else "commands joined smoothly"]
-        for what, lag in (("", self.command_lag_s), ("torque ", self.torque_lag_s)):
+        for what, lag in (("", self.command_lag_s), ("torque of the drive ", self.torque_lag_s)):
             if lag:
                 words.append(f"{what}{1e3 * abs(lag):.3g} ms {'late' if lag > 0.0 else 'early'}")
         if self.derived:

@@ -127,18 +127,20 @@ class Replay:
         """For people: how far tool and joints are off after each time."""
         if not self.horizons_s:
             return self.how
-        spans = _enumerated([f"{span:g}" for span in self.horizons_s])
+        span, whose = self.horizons_s[-1], [(self.tool, "mm", np.zeros(0, dtype=bool))]
+        for name, unit, kind in (("revolute joints", "mrad", True), ("sliding joints", "mm", False)):
+            chosen = np.array(self.turns) == kind
+            if np.any(chosen):
+                whose.append((name, unit, chosen))
         parts = []
-        for words, predicted in self.models:
-            found = [self.after(predicted, span) for span in self.horizons_s]
-            beyond = [self.is_beyond(predicted, span) for span in self.horizons_s]
-            whose = [(self.tool, [tool for _, tool in found], "mm")]
-            for name, unit, kind in (("revolute joints", "mrad", True), ("sliding joints", "mm", False)):
-                chosen = np.array(self.turns) == kind
-                if np.any(chosen):
-                    whose.append((name, [float(np.sqrt(np.mean(joints[chosen] ** 2))) for joints, _ in found], unit))
-            parts.append(f"{words}: {', '.join(f'{who} {_sizes(sizes, beyond, unit)}' for who, sizes, unit in whose)}")
-        return f"Error (rms) of simulations from measured states after {spans} s, {'; '.join(parts)}. {self.how}"
+        for name, unit, chosen in whose:
+            sizes = []
+            for words, predicted in self.models:
+                joints, tool = self.after(predicted, span)
+                size = float(np.sqrt(np.mean(joints[chosen] ** 2))) if chosen.size else tool
+                sizes.append(f"{missed_text(size, self.is_beyond(predicted, span))} {unit} {words}")
+            parts.append(f"{name} {' and '.join(sizes)}")
+        return f"Simulated for {span:g} s from measured states, off by (rms): {'; '.join(parts)}. {self.how}"
 
     def to_mapping(self) -> dict[str, Any]:
         """As ``diagnosis.json`` has it."""
@@ -162,11 +164,6 @@ class Replay:
 
 def _enumerated(words: Sequence[str]) -> str:
     return f"{', '.join(words[:-1])} and {words[-1]}" if len(words) > 1 else words[0]
-
-
-def _sizes(values: Sequence[float], beyond: Sequence[bool], unit: str) -> str:
-    """Distances in rad or m as words in mrad or mm."""
-    return f"{_enumerated([missed_text(*item) for item in zip(values, beyond, strict=True)])} {unit}"
 
 
 def missed_text(value: float, beyond: bool) -> str:

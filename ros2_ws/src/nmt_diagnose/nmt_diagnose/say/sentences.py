@@ -257,8 +257,8 @@ def _how_far(gap: Gap, what: str, before: str, after: str, base: str) -> str:
     interval = f" (90 % interval {limits})" if limits else ""
     return (
         f"{what} removes {closed} of the residual beyond scatter that the {base} leaves on data held out from the "
-        f"fit{interval}. Residual there, in standard deviations (rms): {before}, {gap.after:.2f} {after}; scatter alone "
-        f"leaves {gap.floor:.2f}."
+        f"fit{interval}. Residual there, in standard deviations (rms): {before}, {gap.after:.2f} {after}; scatter "
+        f"alone leaves {gap.floor:.2f}."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 

@@ -5,6 +5,7 @@ import pytest
 from scipy.stats import kstest
 
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.ledger.gap import closed
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.locked_windows import LockedWindows
 from nmt_diagnose.measurements.measurement import LockedLevel, Observations
@@ -101,3 +102,24 @@ def test_map_and_observables_carry_units():
     assert table["run: frequency"]["unit"] == "%"
     assert table["run: phase of f1"]["after_unit"] == pytest.approx(np.degrees(0.01))
     json.dumps(table)
+
+
+def test_observables_of_held_out_rows_pool_to_the_residual_of_the_headline():
+    observations = run_observations()
+    generator = np.random.default_rng(8)
+    rows = observations.rows
+    pairs = [
+        (
+            4.0 * generator.standard_normal(len(rows)),
+            generator.standard_normal(len(rows)),
+            np.isin(rows.level, levels),
+        )
+        for levels in ((1, 3, 5, 7), (6, 7))
+    ]
+    table = per_observable(observations, pairs).values()
+    share = closed(observations, pairs)
+    for key, whole in (("before", share.before), ("after", share.after)):
+        squares = sum(item["rows"] * item[key] ** 2 for item in table)
+        assert squares / sum(item["rows"] for item in table) == pytest.approx(whole**2)
+    # A row that two splits hold out counts in both, one that none does in neither.
+    assert sum(item["rows"] for item in table) == sum(int(judged.sum()) for *_, judged in pairs)

@@ -36,9 +36,9 @@ def test_an_effect_is_told_beside_the_model_as_it_was_given() -> None:
 
 
 def test_what_the_model_has_is_corrected_and_what_it_lacks_is_added() -> None:
-    assert "Adding it removes" in said(Verdict.EFFECT)
-    assert "Correcting it removes" in said(Verdict.EFFECT, effect="local_stiffness")
-    assert "Adding it removes" in said(Verdict.EFFECT, effect="local_stiffness + added_mass")
+    assert "adding it removes" in said(Verdict.EFFECT)
+    assert "correcting it removes" in said(Verdict.EFFECT, effect="local_stiffness")
+    assert "adding it removes" in said(Verdict.EFFECT, effect="local_stiffness + added_mass")
 
 
 def test_parameters_that_predict_worse_close_no_share_of_a_gap() -> None:

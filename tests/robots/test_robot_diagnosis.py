@@ -42,7 +42,7 @@ def test_a_healthy_log_keeps_silent() -> None:
     assert strayed.cause == "not known"
     assert strayed.difference == "not known: the model leaves 50 % of the torque, no cause is claimed"
     assert (
-        "0 of 1 joints differ from the model with the cause identified, 1 more with the cause open."
+        "0 of 1 joints differ from the model, cause named; 1 more, cause open."
         in replace(diagnosis, joints=(strayed,)).verdict
     )
     assert not [finding for finding in diagnosis.findings if finding.fault]
@@ -61,7 +61,7 @@ def test_planted_coulomb_friction_is_found() -> None:
     # Friction that the file lacks is a square wave: what the model leaves is its rms.
     assert joint.unchanged == pytest.approx(0.9 - found.in_model, rel=0.15)
     assert (
-        f"the model's torque is off by {joint.unchanged:.3g} N·m (rms over the joints) as given, by "
+        f"the model misses the computed torque by {joint.unchanged:.3g} N·m (rms over the joints) as given, by "
         f"{joint.left:.3g} N·m with the changes. No fault was found in the log." in diagnosis.verdict
     )
 

@@ -52,7 +52,7 @@ def test_no_size_of_a_slide_is_one_of_an_angle(tmp_path: Path) -> None:
     for name, text in texts.items():
         assert not OF_ANGLES.findall(text), name
     assert "N (was 1" in texts["robot.xml"]
-    assert "model's force is off by" in texts["terminal"]
+    assert "model misses the force by" in texts["terminal"]
 
 
 def test_efforts_of_both_kinds_are_kept_apart() -> None:

@@ -122,6 +122,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         laws=laws,
         next_table=_next(d),
         could_do_better=d.verdict.gap,
+        one_remains=d.adequate and len(d.answers) == 1 and len(d.answers[0].effects) == 1,
         maps=maps,
         curves=curves,
         calibration_table=_calibration(d, report.rig),
@@ -483,9 +484,9 @@ def _residual_tests(d: Diagnosis) -> Table | None:
         PageColumn("Reading", kind="text"),
     )
     note = (
-        "Each test looks for one kind of structure in the residual of the best explanation; a large positive statistic "
-        "shows it, as an effect outside the library would. p: chance of as large a statistic from noise; "
-        f"with so many tests the smallest is corrected (Holm). Below {_LEFT_OVER:g} something is left."
+        "Each test looks for one pattern in the residual of the best explanation; a large positive statistic shows it. "
+        f"Where p of all tests together (Holm) is below {_LEFT_OVER:g}, something is left. p: chance of as large a "
+        "statistic from noise."
     )
     return Table(head, rows, note)
 
@@ -533,7 +534,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
         ]
         columns = (
             PageColumn("Effect", kind="text"), PageColumn("Where it would show first", kind="text wrap"),
-            PageColumn("Smallest size", "five standard deviations", "text wrap"),
+            PageColumn("Seen from", "five standard deviations", "text wrap"),
         )  # fmt: skip
         rows = [Row(cells) for cells in weakest]
         tables.append(Table(columns, rows, heading="Smallest effects that these recordings would show"))
@@ -564,7 +565,7 @@ def _candidates(d: Diagnosis) -> Table | None:
             str(item.get("rows", "")),
             str(item.get("parameters", "")),
             plain(_number(item, "sigmas"), 1),
-            "yes" if item.get("converged") else "no",
+            "—" if item.get("filter") else "yes" if item.get("converged") else "no",
             str(item.get("filter") or "") or "; ".join(f"{name} is small" for name in item.get("small", ())) or "—",
         ))
         for item in d.candidates

@@ -106,12 +106,12 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
         (
             "Target mode",
             f"{plain(target.frequency_hz, 4)} Hz",
-            f"± {significant(target.frequency_std, 1)} Hz, scatter of the record alone",
+            f"± {significant(target.frequency_std, 1)} Hz: scatter, no bias",
         ),
         (
             "Damping ratio",
             f"{plain(100 * target.damping_ratio, 4)} %",
-            f"± {significant(100 * target.damping_std, 1)} %, scatter of the record alone",
+            f"± {significant(100 * target.damping_std, 1)} %: scatter, no bias",
         ),
     ]
     if test.plant is not None:
@@ -222,9 +222,7 @@ def _mode_tables(test: LinearTest, exact: ExactModes | None) -> list[Table]:
         "values, from Hann-windowed averages; the window adds to their damping. Complexity: ‖Im ψ‖/‖ψ‖."
     )
     if test.further_modes:
-        note += (
-            f" Not kept: beyond the {len(test.modes)} modes that were asked for, at most one for each response point."
-        )
+        note += f" Not kept: further modes than the {len(test.modes)} that were asked for."
     tables = [text_table(head, rows, note), _shape_table(test)]
     if exact is not None:
         head = [
@@ -348,7 +346,9 @@ def _mass_table(test: LinearTest) -> Table:
         [f"point {point}", *(significant(float(value), 4) for value in row)]
         for point, row in zip(test.points, estimated_mass(test.shapes), strict=True)
     ]
-    return text_table(head, rows, "Mass matrix by the kept modes, (Φᵀ)⁺ Φ⁺; its rank is the number of modes.")
+    return text_table(
+        head, rows, f"Mass matrix by the kept modes, (Φᵀ)⁺ Φ⁺, of rank {len(test.modes)}: not the masses at the points."
+    )
 
 
 # -- figures ----------------------------------------------------------------------------------------------------------

@@ -161,9 +161,9 @@ def _cards(data: RunReportData) -> list[tuple[str, str, str]]:
     ]
     if data.reference is not None:
         omega, damping = worst_deviation(data)
-        label = f"Largest deviation from the computed mode, {data.reference.label}"
         unit = " points" if feeds_its_motion(points) else ""
-        cards.append((label, f"f̃ {_percent(omega)}, δ̃ {_percent(damping)}{unit}", ""))
+        sizes = f"f̃ {_percent(omega)}, δ̃ {_percent(damping)}{unit}"
+        cards.append(("Largest deviation from the computed mode", sizes, data.reference.label))
         cards += [
             (
                 "Stable limit cycle" if cycle.stable else "Unstable limit cycle",
@@ -315,9 +315,9 @@ def _budget_notes(data: RunReportData) -> list[str]:
             notes.append(f"{channel}: gain ± {significant(100 * gain, 2)} %, phase ± {turned}° ({source}).")
     if data.budget_inputs.method is not None:
         notes.append(
-            "Single-point excitation: deviation of a simulated run of the rig, this one or that of --model-run, "
-            "from its reference at the same modal amplitude. It counts as uncertainty and is not corrected: "
-            "taken from this run, it makes ± as large as the deviation, which is then no evidence."
+            "Single-point excitation: deviation of a simulated run (this one, that of --model-run) from the computed "
+            "mode at the same modal amplitude; not corrected. Where it is this run's, ± is as large as the deviation "
+            "and does not judge it."
         )
     return [*notes, *left_out(data.budget_inputs)]
 

@@ -91,7 +91,7 @@ def choose_block(
         if share <= _SHARE:
             chosen, cost = length, share
     bandwidth, allowed = wanted_bandwidth(linear, settings), allowed_bandwidth(settings, chosen)
-    reason = f"for the mode at {frequency:.4g} Hz the loop has a bandwidth of {min(bandwidth, allowed):.3g} rad/s"
+    reason = f"loop bandwidth {min(bandwidth, allowed):.3g} rad/s for the mode at {frequency:.4g} Hz"
     if allowed < bandwidth:
         reason += f" ({bandwidth:.3g} without the dead time of {PHASE.dead_time_blocks:g} blocks)"
     if chosen > USUAL:

@@ -81,7 +81,10 @@ def sentences(
         return (place, known + _nearest(ranking, named, gap), *_ahead(ahead))
     head = ranking[0]
     values = parameters_text(head.parameters)
+    alters = "+" not in head.effect and effect_named(head.effect).alters
     what = f"{_title(head.effect)}{_at(named)}" + (f" ({values})" if values else "")
+    if alters and list(head.parameters) == ["factor"]:
+        what = f"{_title(head.effect)}{_at(named)}, {values.partition('= ')[2]} of the model's"
     if not head.adequate:
         which = (
             f"{_share_of(gap)} of the gap acts like {what}, probability {_sure(head.probability)} among the effects of "
@@ -96,10 +99,9 @@ def sentences(
         which += f"; these tests cannot tell it from {' or '.join(_title(name) for name in head.equivalents)}"
     which += place_words(head)
     which += _with_second(ranking)
-    corrected = "+" not in head.effect and bool(effect_named(head.effect).alters)
     worse = " (which predicts worse)" if gap.before > gap.as_given else ""
     before = f"{gap.as_given:.2f} with the model as given, {gap.before:.2f} with its parameters re-fitted{worse}"
-    what, after = ("Correcting it", "with it corrected") if corrected else ("Adding it", "with it added")
+    what, after = ("Correcting it", "with it corrected") if alters else ("Adding it", "with it added")
     far = _how_far(gap, what, before, after, "re-fitted model")
     return (place, which + ".", far + _left(remainder), *_ahead(ahead))
 
@@ -256,9 +258,9 @@ def _how_far(gap: Gap, what: str, before: str, after: str, base: str) -> str:
     closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
     interval = f" (90 % interval {limits})" if limits else ""
     return (
-        f"{what} removes {closed} of the residual beyond scatter that the {base} leaves on data held out from the "
-        f"fit{interval}. Residual there, in standard deviations (rms): {before}, {gap.after:.2f} {after}; scatter "
-        f"alone leaves {gap.floor:.2f}."
+        f"On data held out from the fit, {what[:1].lower()}{what[1:]} removes {closed} of the residual of the {base} "
+        f"beyond scatter{interval}. Residual there, in standard deviations (rms): {before}, {gap.after:.2f} {after}; "
+        f"scatter alone leaves {gap.floor:.2f}."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 

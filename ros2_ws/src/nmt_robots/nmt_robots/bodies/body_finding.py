@@ -193,7 +193,7 @@ class _Asked:
             return replace(base, kind="unknown", sentence=f"This log cannot tell apart: {listed}.",
                            instead=((self._words(best.explanation), probability), *instead))  # fmt: skip
         if best.explanation.kind == "none":
-            words = "What this log determines of the bodies is as in the file, within its tolerances."
+            words = "As far as this log tells, the bodies agree with the file within its tolerances."
             if nothing.pulled > _MISFIT:
                 base = replace(base, kind="unknown")
                 words += (

@@ -68,7 +68,7 @@ def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     rows = [] if diagnosis.replay is None else [("In motion", diagnosis.replay.sentence)]
     rows += [] if diagnosis.bodies is None else [("Bodies", diagnosis.bodies.sentence)]
     rows.append(("Joints", _named(diagnosis)))
-    read = f"Timing: {diagnosis.reading.text()}{'; others fit as well' if len(diagnosis.as_well) > 1 else ''}."
+    read = f"Timing: {diagnosis.reading.text()}{' (other timings fit as well)' if len(diagnosis.as_well) > 1 else ''}."
     read += " The torque is computed by the drives' control law." if diagnosis.log.is_arithmetic else ""
     more = [f"{len(faults) - _FAULTS} more faults are below."] if len(faults) > _FAULTS else []
     rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["No fault was found."]), *more, read])))
@@ -83,7 +83,7 @@ def _named(diagnosis: RobotDiagnosis) -> str:
     """What differs joint by joint with sizes, or by cause where many joints differ."""
     differing = [joint for joint in diagnosis.joints if joint.differs]
     if not differing:
-        return "No joint differs from the model with the cause identified."
+        return "No cause is named at any joint."
     if len(differing) <= _LISTED:
         return "; ".join(f"{joint.joint.name}: {joint.difference}" for joint in differing) + "."
     causes: dict[str, list[str]] = {}

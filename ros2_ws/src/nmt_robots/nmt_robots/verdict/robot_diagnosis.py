@@ -203,15 +203,16 @@ class RobotDiagnosis:
         log = f"The log has {faults} faults." if faults > 1 else "The log has one fault." if faults else _NO_FAULT
         differing = sum(joint.differs for joint in judged)
         open_joints = sum(not joint.differs and not joint.is_as_in_the_model for joint in judged)
-        unknown = f", {open_joints} more with the cause open" if open_joints else ""
+        unknown = f"; {open_joints} more, cause open" if open_joints else ""
         bodies = self.bodies.words if self.bodies is not None else ""
         bodies = f"{bodies[:1].upper()}{bodies[1:]}. " if bodies else ""
         as_given, named = (rms_text(self.left_over(which)) for which in ("unchanged", "left"))
         efforts = "force" if all(not joint.joint.turns for joint in judged) else "torque"
+        efforts = f"computed {efforts}" if self.log.is_arithmetic else efforts
         return (
-            f"{bodies}{differing} of {len(judged)} joints {'differs' if differing == 1 else 'differ'} from the model "
-            f"with the cause identified{unknown}. "
-            f"On held-out motion the model's {efforts} is off by {as_given} (rms over the joints) as given, by "
+            f"{bodies}{differing} of {len(judged)} joints {'differs' if differing == 1 else 'differ'} from the model, "
+            f"cause named{unknown}. "
+            f"On held-out motion the model misses the {efforts} by {as_given} (rms over the joints) as given, by "
             f"{named} with the changes. {log}"
         )
 

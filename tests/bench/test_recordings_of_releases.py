@@ -66,6 +66,7 @@ def test_the_bag_says_what_its_table_says(run: Path) -> None:
     assert read_csv(run / "modal.csv")["damping_ratio"] == [point.damping_ratio for point in points]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_extraction_finds_what_was_found(run: Path, tmp_path: Path) -> None:
     """To the rounding of another processor: bit for bit holds on the machine that recorded."""
     assert main(["extract", str(run), "--out", str(tmp_path / "out")]) == 0

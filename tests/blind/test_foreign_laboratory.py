@@ -373,6 +373,7 @@ def test_the_command_diagnoses_a_backbone(tmp_path: Path, capsys: pytest.Capture
     assert (tmp_path / "out" / "table" / "diagnosis" / "report.html").is_file()
 
 
+@pytest.mark.campaign
 def test_an_answer_is_accounted_for_beside_the_fitted_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A cubic spring of known stiffness: ω² = ω₀² + ¾ k q² of a unit mass."""
     hardening = 0.004

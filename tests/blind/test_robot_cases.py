@@ -76,6 +76,7 @@ def test_a_value_is_compared_in_its_own_uncertainty() -> None:
     assert judge_robot(RUBBING, stating("coulomb@knee")).deviation == pytest.approx(2.0)
 
 
+@pytest.mark.campaign
 def test_a_case_is_diagnosed_once_and_tabulated(tmp_path: Path) -> None:
     pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
     from nmt_laboratories.laboratory_four import make_case

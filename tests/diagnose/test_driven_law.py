@@ -96,8 +96,6 @@ def reading_of(folder: Path, more: str, channels: tuple[int, ...] = (0, 1, 2)) -
     with_quick(
         [(words, place) for words in LAWS for place in ("point: 3", "point: 2, other_point: 1")],
         ("clearance", "point: 2, other_point: 1"),
-        ("damping that grows with speed", "point: 3"),
-        ("friction of a slider behind a spring", "point: 3"),
     ),
 )
 def test_a_law_is_read_at_its_place_away_from_the_force(tmp_path: Path, words: str, place: str) -> None:
@@ -138,6 +136,7 @@ def test_a_column_is_what_a_little_of_its_element_makes_of_the_motion(tmp_path: 
             assert np.std(part[some] - truth[some]) < 0.02 * np.std(truth[some])
 
 
+@pytest.mark.campaign
 def test_several_records_of_one_rig_have_one_law(tmp_path: Path) -> None:
     """Each with its own beginning; parts of both stand for levels."""
     (first := tmp_path / "first").mkdir()

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matrix.small_rigs import rig_text
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.kinds import (
@@ -93,7 +94,7 @@ def identity(found: Observations, *columns: str) -> list[tuple[object, ...]]:
     return list(zip(rows.test.tolist(), channels, *(getattr(rows, name).tolist() for name in columns), strict=True))
 
 
-@pytest.mark.parametrize("name", REQUESTS)
+@pytest.mark.parametrize("name", with_quick(REQUESTS, "levels", "stepped sines", "decays"))
 def test_what_is_expected_is_what_a_session_shows(name: str, tmp_path: Path) -> None:
     request, rig = prepared(tmp_path, REQUESTS[name])
     shown = recorded(tmp_path, request, rig)

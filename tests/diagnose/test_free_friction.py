@@ -174,7 +174,7 @@ def test_coulomb_friction_has_the_damping_of_its_work(tmp_path: Path) -> None:
     np.testing.assert_allclose(observations.values[damping][large], expected[large], rtol=0.03)
 
 
-@pytest.mark.parametrize("contact", with_quick([20.0, 800.0, RIGID], 20.0, 800.0))
+@pytest.mark.parametrize("contact", with_quick([20.0, 800.0, RIGID], 800.0))
 def test_friction_in_a_record(tmp_path: Path, contact: float) -> None:
     torque = band(8000, 2.0, 9.0, 0.5, 3)
     angle = swung(finer(torque), 1.0 / (RATE * FINER), contact, 0.15, 0.0)[::FINER]
@@ -183,6 +183,7 @@ def test_friction_in_a_record(tmp_path: Path, contact: float) -> None:
     assert_friction(found, 0.15, contact)
 
 
+@pytest.mark.campaign
 def test_rigid_friction_at_an_inner_mass(tmp_path: Path) -> None:
     """Between the second mass of a row and the ground, found at its place without a gap or a stop."""
     force = band(8000, 2.0, 16.0, 12.0, 5)

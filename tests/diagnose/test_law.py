@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from diagnose.simulated_levels import FORCES, MASSES, chain_of_masses, held, held_sines, modes
 from scipy.optimize import brentq
+from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.law.law_blocks import Block
@@ -94,6 +95,7 @@ def test_bristles_that_weaken_with_speed_are_read_and_written() -> None:
     assert bristles.coulomb_force_n + weakening.coulomb_force_n == pytest.approx(0.029, rel=0.05)
 
 
+@pytest.mark.campaign
 def test_friction_whose_loops_are_pinched_is_read() -> None:
     found = reading((4, "pinched", (75.0, 2.2e-3, 1.5, 2.0, 5.4e-4), ()), forces=FORCES[:6])
     assert found.is_stated
@@ -150,6 +152,7 @@ def test_two_laws_at_two_places_are_read_and_written() -> None:
     assert sorted(starts) == ["cubic_stiffness", "second_friction_contact"]
 
 
+@pytest.mark.campaign
 def test_two_laws_at_one_place_are_read() -> None:
     found = reading((4, "drag", (3.0,), ()), (4, "quintic", (-3.0e10,), ()))
     families = sorted((law.place, law.family) for law in found.laws)
@@ -202,7 +205,7 @@ def one_mass(kind: str = "force") -> Rig:
     return rig if kind == "force" else rig.model_copy(update={"exciter": rig.exciter.model_copy(update={"kind": kind})})
 
 
-@pytest.mark.parametrize("decay", [True, False])
+@pytest.mark.parametrize("decay", with_quick([True, False], True))
 def test_decays_and_tables_give_the_law_of_one_mode(decay: bool) -> None:
     spring = read_law(one_mass(), amplitudes(decay, cubic=5.0e8))
     assert spring is not None
@@ -291,7 +294,8 @@ def lines(reference: str, cubic: float, friction: float, responses: str = "relat
 
 
 @pytest.mark.parametrize(
-    ("reference", "responses"), [("force", "relative"), ("base", "relative"), ("base", "absolute")]
+    ("reference", "responses"),
+    with_quick([("force", "relative"), ("base", "relative"), ("base", "absolute")], ("base", "absolute")),
 )
 def test_stepped_sines_at_several_forces_give_the_law(reference: str, responses: str) -> None:
     spring = read_law(*lines(reference, 2.0e9, 0.0, responses))

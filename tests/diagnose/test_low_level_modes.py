@@ -202,6 +202,7 @@ def test_what_moves_no_mode_promises_nothing():
     assert left[1] == np.inf
 
 
+@pytest.mark.campaign
 def test_a_mode_that_the_model_lacks_is_no_effect(tmp_path: Path):
     found = diagnosed(*recorded(tmp_path, by_modes((0, 2))))
     assert found.verdict is Verdict.UNKNOWN

@@ -102,6 +102,7 @@ def test_a_smooth_misfit_below_what_matters_is_no_gap() -> None:
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
 
 
+@pytest.mark.campaign
 def test_what_matters_is_still_named() -> None:
     truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
     found = diagnose_observations(MODEL, observed(truth), DiagnosisSettings(look_ahead=False)).diagnosis

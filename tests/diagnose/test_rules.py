@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_diagnose.diagnose import diagnose_observations
@@ -145,10 +146,10 @@ def reasons(found: dict[str, Any]) -> dict[str, str]:
 
 @pytest.mark.parametrize(
     ("case", "rule"),
-    [
+    with_quick([
         ("cubic", "promising"), ("cubic", "near"), ("cubic", "likely"), ("friction withheld", "closes"),
         ("weak", "needed"),
-    ],
+    ], ("cubic", "promising"), ("cubic", "near"), ("cubic", "likely"), ("weak", "needed")),
 )  # fmt: skip
 def test_why_an_explanation_is_not_stated(case: str, rule: str, capsys: pytest.CaptureFixture[str]) -> None:
     found = ledger(case)

@@ -37,14 +37,14 @@ DEGREES = 2 * LINES / (2.0 * THRESHOLDS.noise.median_relative_std**2)
 
 
 def test_a_scatter_is_as_uncertain_as_it_is_said_to_be() -> None:
-    log = np.log(np.concatenate([estimates([0.003], seed) for seed in range(400)]))
+    log = np.log(np.concatenate([estimates([0.003], seed) for seed in range(150)]))
     assert math.exp(log.mean()) == pytest.approx(0.003, rel=0.03)
     assert log.std() == pytest.approx(math.sqrt(0.5 / DEGREES), rel=0.15)
 
 
 def test_sweeps_that_scatter_alike_are_known_by_all_of_them() -> None:
     alone, together, stated = [], [], []
-    for seed in range(200):
+    for seed in range(50):
         own = estimates([0.003] * 6, seed)
         shared, degrees = shrunk(own, np.full(6, DEGREES))
         alone += list(np.log(own / 0.003))

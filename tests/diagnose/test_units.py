@@ -115,6 +115,7 @@ def test_what_all_units_share_hides_no_odd_one_and_widens_no_band():
     assert found >= 0.97 * trials
 
 
+@pytest.mark.campaign
 def test_what_is_shared_is_what_a_wrong_mass_of_the_model_does_to_all_units():
     """The backbone says k/m alone: of two models whose masses differ by a tolerance, both springs differ by it."""
     rig = one_mode_rig()

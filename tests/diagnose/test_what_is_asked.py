@@ -11,6 +11,7 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from moved_threshold import moved_threshold
 from scipy.stats import chi2, norm
+from tiers import with_quick
 
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
@@ -347,7 +348,7 @@ def weakest_of_each() -> dict[str, tuple[Rig, Rig]]:
 WEAK = {"force_factor_asymmetric": {"force_factor_asymmetric"}, "amplitude_damping": {"amplitude_damping"}}
 
 
-@pytest.mark.parametrize("name", WEAK)
+@pytest.mark.parametrize("name", with_quick(WEAK, "force_factor_asymmetric"))
 def test_the_weakest_that_would_show_is_reported(name: str) -> None:
     """Whether it matters or not; a third of it is not."""
     third, weakest = weakest_of_each()[name]

@@ -8,6 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from extract.synthetic import OMEGA, POINTS, RATE, SHAPES, linear_description, lock_event
+from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.vocabulary import PointStatus, TestKind
@@ -127,7 +128,7 @@ def verdict(kind: str, fault: str, point: int) -> str:
     return "covered"
 
 
-@pytest.mark.parametrize("point", [2, 5])
+@pytest.mark.parametrize("point", with_quick([2, 5], 5))
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_fault_is_named_or_inside_twice_the_stated_uncertainty(kind: str, fault: str, point: int) -> None:

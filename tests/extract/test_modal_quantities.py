@@ -111,6 +111,7 @@ run = RunResults.read(folder)
 """
 
 
+@pytest.mark.campaign
 def test_one_more_quantity_is_everywhere_by_its_field_alone(tmp_path: Path) -> None:
     """Files, tables, figures, live page, ``nmt.open`` and floors take a field that they have never heard of."""
     tests = str(Path(__file__).resolve().parents[1])

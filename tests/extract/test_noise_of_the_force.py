@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
+from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import FloatArray
@@ -76,7 +77,11 @@ def scores(test: LinearTest) -> FloatArray:
 
 @pytest.mark.parametrize(
     ("drive", "force_noise", "response_noise"),
-    [("hits", 0.05, 0.02), ("hits", 0.0, 0.02), ("shaken", 0.02, 0.02), ("shaken", 0.0, 0.05)],
+    with_quick(
+        [("hits", 0.05, 0.02), ("hits", 0.0, 0.02), ("shaken", 0.02, 0.02), ("shaken", 0.0, 0.05)],
+        ("hits", 0.05, 0.02),
+        ("shaken", 0.02, 0.02),
+    ),
 )
 def test_stated_uncertainties_cover(drive: str, force_noise: float, response_noise: float) -> None:
     found = []

@@ -142,6 +142,7 @@ def test_decay_of_a_sliding_joint_obeys_its_balance_of_energy() -> None:
     assert np.all(ratio > 1.002)
 
 
+@pytest.mark.campaign
 def test_uncertainties_are_those_of_repeated_noise() -> None:
     rng = np.random.default_rng(3)
     s = complex(-0.004 * OMEGA, OMEGA)

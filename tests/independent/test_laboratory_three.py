@@ -34,6 +34,7 @@ def test_no_mode_that_a_recording_may_show_is_left_out() -> None:
         assert 3e4 * left_out < 2e-3
 
 
+@pytest.mark.campaign
 def test_a_mode_decays_by_its_damping() -> None:
     beam = free_beam(LENGTH, HEIGHT, 3e-5, 0.0, 500.0)
     run = Run(beam)

@@ -113,14 +113,15 @@ def test_modes_outside_the_band_are_no_gap(tmp_path: Path, seed: int) -> None:
     assert diagnosed(tmp_path, seed, NARROW, modes=1)["verdict"] in ("none", "calibration")
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("label", "wrong"),
     [
         ("response_gain", {"gain": 0.9}),
-        pytest.param("channel_skew", {"skew": 4e-4}, marks=pytest.mark.campaign),
-        pytest.param("added_mass", {"mass": 2e-3}, marks=pytest.mark.campaign),
+        ("channel_skew", {"skew": 4e-4}),
+        ("added_mass", {"mass": 2e-3}),
         # Resonances a tenth lower, by ten of their widths and more.
-        pytest.param("added_mass", {"mass": 1e-2}, marks=pytest.mark.campaign),
+        ("added_mass", {"mass": 1e-2}),
     ],
 )
 def test_what_leaves_the_tolerances_is_named(tmp_path: Path, label: str, wrong: dict[str, float]) -> None:

@@ -32,6 +32,7 @@ def test_modes_of_a_soft_clamp_solve_their_equation(clamp: float) -> None:
         assert c * ch + 1.0 == pytest.approx(root / clamp * (s * ch - c * sh), rel=1e-6, abs=1e-6 * ch)
 
 
+@pytest.mark.campaign
 @pytest.mark.court(said="effect")
 def test_a_clamp_that_lowers_the_first_mode_by_a_seventh_is_named_with_its_stiffness(tmp_path: Path) -> None:
     """The owner's damping by the stiffness is ten times that of the second and third mode."""

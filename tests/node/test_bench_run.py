@@ -27,6 +27,7 @@ from nmt_record.bag.bag_reader import Bag
 from nmt_report.run_report import report_data_from_bag, write_report
 from nmt_rig.reference import single_point_reference
 from nmt_rig.rig import load_rig
+from nmt_session.node_plan import NODES
 
 SAMPLES = ("force", "displacement", "acceleration", "voltage")
 
@@ -190,15 +191,9 @@ def test_nodes_with_other_blocks_are_refused(tmp_path: Path) -> None:
 # lockstep, forty times as fast, a recorder that waits for a processor is behind by any number of them.
 @pytest.mark.parametrize(
     ("victim", "pacing"),
-    [
-        ("pll", "lockstep"),
-        ("plant", "lockstep"),
-        ("recorder", "lockstep"),
-        pytest.param("sequencer", "lockstep", marks=pytest.mark.campaign),
-        pytest.param("extract", "lockstep", marks=pytest.mark.campaign),
-        pytest.param("plant", "realtime", marks=pytest.mark.campaign),
-        pytest.param("recorder", "realtime", marks=pytest.mark.campaign),
-    ],
+    with_quick(
+        [*((name, "lockstep") for name in NODES), ("plant", "realtime"), ("recorder", "realtime")], ("pll", "lockstep")
+    ),
 )
 def test_a_killed_node_ends_the_run(victim: str, pacing: str, tmp_path: Path) -> None:
     levels = [0.3, 0.5, 0.8, 1.0]
@@ -274,6 +269,7 @@ def test_in_lockstep_a_stopped_reader_is_waited_for(reader: str, tmp_path: Path)
     assert run["result"]["points"] == {"count": 1, "not_live": []}
 
 
+@pytest.mark.campaign
 def test_a_lead_shorter_than_a_bundle_and_than_what_readers_tell_stands_nowhere() -> None:
     """The plant keeps nothing joined for long, and readers tell what they have when they rest."""
     values = {"plant": {"reader_lead": 0.05, "bundle_blocks": 50}, "sequencer": {"stall_timeout": 5.0}}
@@ -294,6 +290,7 @@ extractor.modal_point = raising
 """
 
 
+@pytest.mark.campaign
 def test_a_level_at_which_extraction_fails_is_named_and_the_table_comes_from_the_bag(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -362,10 +359,8 @@ def test_points_that_do_not_come_are_missed_by_name(tmp_path: Path) -> None:
     assert "Extraction sent no point of levels 2 and 3 while the test ran (2 of 3 locked)" in page.read_text()
 
 
-@pytest.mark.parametrize(
-    ("count", "periods"),
-    [(12, 20), pytest.param(40, 200, marks=pytest.mark.campaign), pytest.param(100, 40, marks=pytest.mark.campaign)],
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize(("count", "periods"), [(12, 20), (40, 200), (100, 40)])
 def test_on_one_processor_every_level_gives_its_point(count: int, periods: int, tmp_path: Path) -> None:
     processors = os.sched_getaffinity(0)
     levels = [float(level) for level in np.geomspace(0.05, 1.5, count)]

@@ -44,6 +44,7 @@ def test_a_driver_that_breaks_the_contract_is_not_driven(laboratory: Path) -> No
     assert "found rate; fix it and type: ./nmt check" in command(laboratory, "run", "laboratory.yaml", code=2)
 
 
+@pytest.mark.campaign
 def test_a_converter_that_cannot_follow_the_model_is_checked_by_the_contract(laboratory: Path) -> None:
     words = ("laboratory.yaml", "--set", "device.check=converter")
     assert "type: ./nmt check" in command(laboratory, "run", *words, "--out", "before", code=2)

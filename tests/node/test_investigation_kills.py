@@ -87,11 +87,10 @@ def recorded_s(bag: Path) -> float:
     return float(sum(block.data.size for block in blocks) / blocks[0].sample_rate)
 
 
-@pytest.mark.parametrize(
-    "node", ["pll", *(pytest.param(name, marks=pytest.mark.campaign) for name in NODES if name != "pll")]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("node", NODES)
 def test_a_killed_node_costs_its_test_only(node: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Through the second test of three: the loop in every run of the suite, the others where campaigns are run."""
+    """Through the second test of three."""
     mark = f"{os.getpid()}-{node}"
     monkeypatch.setenv(MARK, mark)
     begun = InvestigationRecord(RIG, RIG, tests=(LINEAR,))
@@ -117,6 +116,7 @@ def test_a_killed_node_costs_its_test_only(node: str, tmp_path: Path, monkeypatc
     assert result["message"].startswith("2 of 2 levels")
 
 
+@pytest.mark.campaign
 def test_a_test_that_locks_nothing_has_not_failed(tmp_path: Path) -> None:
     asked = TestRequest(rig=RIG, levels=(0.3,), periods=20, changes=(("test.lock_timeout_s", 0.3),))
     hasty = AskedTest("01_levels", asked, "levels", "")

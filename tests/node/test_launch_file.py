@@ -108,7 +108,8 @@ def test_a_wrong_rig_is_refused_before_anything_starts(launch_file: types.Module
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("namespace", ["hall", pytest.param("", marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("namespace", ["hall", ""])
 def test_an_interrupted_launch_aborts_no_node(
     namespace: str, launch_file: types.ModuleType, domain_id: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_blind.cases.blind_rigs import BLIND_RIGS
 from nmt_core.errors import BenchError
@@ -51,7 +52,9 @@ def outcome(rig, faults=(), seed=1, levels=LEVELS):
     return result
 
 
-@pytest.mark.parametrize("name", FAULTS)
+@pytest.mark.parametrize(
+    "name", with_quick(FAULTS, "noise", "open", "force_response", "sensitivity", "no_drive", "rate")
+)
 def test_a_planted_fault_is_named_with_its_channel(rig, name):
     channel = CHANNELS.get(name, "")
     result = outcome(rig, [Fault(name, channel)])
@@ -84,6 +87,7 @@ def test_a_late_drive_sensor_is_measured_and_what_it_does_to_a_test_is_said(rig)
     assert all(abs(each.delay) < 5 * each.delay_std for each in result.channels if each.channel not in ("x2", "u"))
 
 
+@pytest.mark.campaign
 def test_a_single_mode_off_is_named_with_its_number():
     """The first mode 15 % lower and twice as damped, the others as the model has them."""
     rig = load_rig(BLIND_RIGS["modal_beam"].file, ["sample_rate_hz=4000"])

@@ -41,7 +41,7 @@ def degrees(outcome) -> np.ndarray:
 
 
 @pytest.mark.parametrize("direction", [1, -1], ids=["up", "down"])
-@pytest.mark.parametrize("point", RANGES)
+@pytest.mark.parametrize("point", with_quick(RANGES, 2, 6))
 def test_locks_over_the_whole_range_of_a_drive_point(point, direction):
     bench = ClosedLoop(point)
     frequencies = []

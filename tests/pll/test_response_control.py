@@ -50,6 +50,7 @@ def test_an_amplitude_is_held_also_where_the_force_falls(slope):
     assert max(course) < 1.2
 
 
+@pytest.mark.campaign
 def test_a_fold_over_the_force_is_none_over_the_amplitude():
     assert folds(1.0) == ([], [])
     forces, amplitudes = folds(0.5)
@@ -84,7 +85,7 @@ def test_at_a_fold_over_the_amplitude_the_levels_jump_once():
         assert point.omega_rad_s == pytest.approx(first.omega_b, rel=1e-3)
 
 
-@pytest.mark.parametrize("latency", with_quick([0, 1, 3], 0, 3))
+@pytest.mark.parametrize("latency", with_quick([0, 1, 3], 3))
 def test_latency_and_noise_leave_the_levels_stable(latency):
     levels = [1.2e-3, 1.8e-3, 2.2e-3, 2.6e-3]
     points = measured(0.5, levels, NOISE, latency_blocks=latency)

@@ -68,9 +68,7 @@ FACTORS = {
 
 @pytest.mark.parametrize(
     ("name", "latency"),
-    with_quick(
-        [(name, latency) for name in FACTORS for latency in (0, 3)], ("both signs", 0), *((name, 3) for name in FACTORS)
-    ),
+    with_quick([(name, latency) for name in FACTORS for latency in (0, 3)], ("both signs", 0), ("both signs", 3)),
 )
 def test_wrong_factors_of_the_exciters_are_learnt(name, latency):
     factors = FACTORS[name]

@@ -24,7 +24,8 @@ def record(verdict: Verdict) -> InvestigationRecord:
     return InvestigationRecord("beam", "real.yaml", tests=(linear, levels), turns=(turn,), plan=(0.1, 0.2))
 
 
-@pytest.mark.parametrize("verdict", with_quick(Verdict, Verdict.EFFECT, Verdict.UNKNOWN))
+@pytest.mark.parametrize("verdict", with_quick(Verdict, Verdict.EFFECT))
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_shows_the_place_the_courses_and_what_remains(verdict: Verdict) -> None:
     """With links to the diagnosis and to the report of each test that has one."""
     report = fixture.report(verdict)

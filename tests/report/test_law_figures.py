@@ -20,6 +20,7 @@ from nmt_report.diagnosis_report import diagnosis_page
 from nmt_report.figure_files import write_figures
 from nmt_report.figure_record import unpacked
 
+pytestmark = pytest.mark.usefixtures("module_undrawn")
 ANGLES = 2.0 * np.pi * np.arange(64) / 64
 STD = 0.02
 
@@ -42,7 +43,7 @@ def page(found: LawReading | None) -> str:
 
 
 @pytest.fixture(scope="module")
-def stated() -> str:
+def stated(module_undrawn: None) -> str:
     """The page of the reading, drawn once."""
     return page(reading())
 

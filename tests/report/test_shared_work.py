@@ -87,6 +87,7 @@ print(first == report_html(data), len(forks))
 """
 
 
+@pytest.mark.campaign
 def test_the_page_is_the_same_from_one_process_and_from_two() -> None:
     """The second is drawn alone, since a font is open by then."""
     words = [sys.executable, "-c", PAGES]

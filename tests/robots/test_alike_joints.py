@@ -38,7 +38,7 @@ def four_arms(folder: Path) -> Path:
 
 def log_of(path: Path, coulomb: tuple[float, ...], noise: float) -> None:
     """A log of all arms."""
-    logs = [log_columns(coulomb=value, noise=noise) for value in coulomb]
+    logs = [log_columns(coulomb=value, noise=noise, rate_hz=250.0) for value in coulomb]
     columns = {name: np.hstack([log[name] for log in logs]) for name in ("pos", "vel", "des_pos", "kp", "kd")}
     np.savez(path, time=logs[0]["time"], **columns)
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from robots.simulated_joint import log_columns, robot_file
+from tiers import with_quick
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
@@ -57,7 +58,9 @@ def motion(tmp_path_factory: pytest.TempPathFactory) -> Motion:
     return motion_of(RobotModel(model), read_log(sidecar, model))
 
 
-@pytest.mark.parametrize("sidecar", [GAINS, TORQUE], ids=["stated to be computed", "found to be computed"])
+@pytest.mark.parametrize(
+    "sidecar", with_quick([GAINS, TORQUE], TORQUE), ids=["stated to be computed", "found to be computed"]
+)
 def test_damping_is_one_class_with_the_gain_that_makes_the_same_torque(tmp_path: Path, sidecar: str) -> None:
     diagnosis = diagnosed(tmp_path, sidecar, damping=0.9)
     assert diagnosis.log.is_arithmetic
@@ -72,7 +75,9 @@ def test_damping_is_one_class_with_the_gain_that_makes_the_same_torque(tmp_path:
     assert "velocity gain or viscous friction" in page
 
 
-@pytest.mark.parametrize("sidecar", [GAINS, TORQUE], ids=["stated to be computed", "found to be computed"])
+@pytest.mark.parametrize(
+    "sidecar", with_quick([GAINS, TORQUE], GAINS), ids=["stated to be computed", "found to be computed"]
+)
 def test_armature_and_inertia_of_a_single_link_are_one_class(tmp_path: Path, sidecar: str) -> None:
     (joint,) = diagnosed(tmp_path, sidecar, armature=0.09).joints
     assert joint.cause == "armature or inertia of its links"

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from robots.simulated_joint import log_columns, robot_file
+from tiers import with_quick
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
@@ -59,6 +60,7 @@ def test_a_constant_torque_is_named_with_its_share(tmp_path: Path) -> None:
     assert joint.adequate
 
 
+@pytest.mark.campaign
 def test_a_spring_of_the_file_is_none_that_is_missing(tmp_path: Path) -> None:
     np.savez(tmp_path / "log.npz", **log_columns(more=lambda q, v: 3.0 * (q - 1.0)))
     file = robot_file(tmp_path)
@@ -109,7 +111,7 @@ def test_nothing_is_expected_to_leave_less_than_the_errors_of_the_bodies(
     assert explain(asked, {**IN_MODEL, "coulomb": 0.3}).causes == ("coulomb",)
 
 
-@pytest.mark.parametrize("excess", [0.0, 0.5])
+@pytest.mark.parametrize("excess", with_quick([0.0, 0.5], 0.5))
 def test_friction_that_a_file_lacks_is_named_whole(tmp_path: Path, excess: float) -> None:
     """Coulomb and viscous friction together look like friction with the root of speed to a first step alone."""
     np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.5 + excess))
@@ -220,7 +222,7 @@ def bristle(size: float, reach: float) -> Callable[[float, float], float]:
     return torque
 
 
-@pytest.mark.parametrize(("reach", "noise"), [(0.001, 1e-5), (0.003, 1e-4)])
+@pytest.mark.parametrize(("reach", "noise"), with_quick([(0.001, 1e-5), (0.003, 1e-4)], (0.003, 1e-4)))
 def test_friction_that_builds_up_over_an_angle_is_told_with_it(tmp_path: Path, reach: float, noise: float) -> None:
     """The bristle is integrated with the motion, the diagnosis has its state from the logged angle alone."""
     np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.0, noise=noise, more=bristle(0.5, reach)))
@@ -236,6 +238,7 @@ def test_friction_that_builds_up_over_an_angle_is_told_with_it(tmp_path: Path, r
     assert share.size == pytest.approx(0.5, rel=0.05)
 
 
+@pytest.mark.campaign
 def test_a_replay_has_the_state_of_friction_that_builds_up(tmp_path: Path) -> None:
     np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.0, more=bristle(1.5, 0.004)))
     diagnosis = diagnose_robot_by_logs(robot_file(tmp_path, coulomb=1.5), [tmp_path / "log.npz"])

@@ -41,6 +41,7 @@ def test_the_same_friction_agrees_and_closes_the_other_log(tmp_path: Path) -> No
     assert "agrees" in page
 
 
+@pytest.mark.campaign
 def test_another_friction_does_not_agree(tmp_path: Path) -> None:
     (other,) = by_two(tmp_path, 0.9, 0.5).others
     assert [term.agrees for term in other.terms] == [False]
@@ -48,6 +49,7 @@ def test_another_friction_does_not_agree(tmp_path: Path) -> None:
     assert left > model
 
 
+@pytest.mark.campaign
 def test_a_known_mass_hung_on_stands_in_the_model_of_the_second_log(tmp_path: Path) -> None:
     mass = 0.7
     robot, loaded = robot_file(tmp_path), tmp_path / "loaded.xml"

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from robots.simulated_joint import INERTIA, LENGTH, MASS, diagnosed_pendulum, log_columns, robot_file
 from robots.test_transmission import ARMATURE, COULOMB, DAMPING, log_behind
+from tiers import with_quick
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
@@ -74,16 +75,16 @@ def test_friction_as_it_is_gives_the_motion_as_it_is(tmp_path: Path) -> None:
     assert 5.5 < replayed.motion.step_s * (replayed.log.rows - replayed.first) < 8.5
 
 
-@pytest.mark.parametrize(
-    ("key", "shape", "values", "more"),
-    [
-        ("spring", "", [3.0], lambda q, v: 3.0 * q),
-        ("stribeck", "0.2 rad/s", [1.2], lambda q, v: np.sign(v) * 1.2 * np.exp(-abs(v) / 0.2)),
-        ("ripple", "12 per turn", [0.6, -0.3], lambda q, v: 0.6 * np.cos(12 * q) - 0.3 * np.sin(12 * q)),
-        ("gravity_scale", "", [0.3], lambda q, v: 0.3 * MASS * 9.81 * LENGTH * np.sin(q)),
-        ("viscous_by_direction", "", [0.2], lambda q, v: 0.2 * abs(v)),
-    ],
-)
+BEYOND_THE_FORMAT = [
+    ("spring", "", [3.0], lambda q, v: 3.0 * q),
+    ("stribeck", "0.2 rad/s", [1.2], lambda q, v: np.sign(v) * 1.2 * np.exp(-abs(v) / 0.2)),
+    ("ripple", "12 per turn", [0.6, -0.3], lambda q, v: 0.6 * np.cos(12 * q) - 0.3 * np.sin(12 * q)),
+    ("gravity_scale", "", [0.3], lambda q, v: 0.3 * MASS * 9.81 * LENGTH * np.sin(q)),
+    ("viscous_by_direction", "", [0.2], lambda q, v: 0.2 * abs(v)),
+]
+
+
+@pytest.mark.parametrize(("key", "shape", "values", "more"), with_quick(BEYOND_THE_FORMAT, *BEYOND_THE_FORMAT[:2]))
 def test_what_the_format_has_no_word_for_is_simulated(
     tmp_path: Path, key: str, shape: str, values: list[float], more: Any
 ) -> None:
@@ -106,7 +107,9 @@ def test_a_gain_of_the_drive_acts_in_its_law(tmp_path: Path) -> None:
     assert rms(replayed.misses(AS_IN_THE_MODEL)) > 3e-3
 
 
-@pytest.mark.parametrize(("stiffness", "gap", "damper"), [(70.0, 0.0, 0.2), (2000.0, 0.03, 2.0)])
+@pytest.mark.parametrize(
+    ("stiffness", "gap", "damper"), with_quick([(70.0, 0.0, 0.2), (2000.0, 0.03, 2.0)], (2000.0, 0.03, 2.0))
+)
 def test_a_link_behind_its_transmission_is_simulated_with_its_motor(
     tmp_path: Path, stiffness: float, gap: float, damper: float
 ) -> None:
@@ -172,6 +175,7 @@ def test_a_motion_that_runs_away_is_no_number(tmp_path: Path) -> None:
     assert np.isnan(rms(replayed.misses(AS_IN_THE_MODEL)))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_diagnosis_replays_its_log_and_has_it_on_the_page(tmp_path: Path) -> None:
     diagnosis = diagnosed_pendulum(coulomb=0.9)
     assert diagnosis.replay is not None

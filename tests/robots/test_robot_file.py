@@ -403,7 +403,7 @@ def test_what_is_left_out_of_a_file_changes_no_torque(tmp_path: Path, seed: int)
     """MuJoCo's reading of the whole file is the witness, also of changed numbers."""
     pytest.importorskip("mujoco").set_mju_user_warning(lambda _: None)
     random, path, compared = np.random.default_rng(seed), tmp_path / "rich.xml", 0
-    for number in range(12):
+    for number in range(5):
         text = MJCF if number == 0 else scaled_numbers(MJCF, random)
         path.write_text(text)
         try:
@@ -418,4 +418,4 @@ def test_what_is_left_out_of_a_file_changes_no_torque(tmp_path: Path, seed: int)
             model.torque(model.names, pose, pose, pose)[0], expected, atol=1e-9 * size, err_msg=text
         )
         compared += 1
-    assert compared >= 6
+    assert compared >= 3

@@ -25,6 +25,7 @@ LIFT = f"""<mujoco><worldbody><body name="carriage"><inertial pos="0 0 0" mass="
 OF_ANGLES = re.compile(r"N·m|mrad|kg·m²|(?<![a-z])rad(?![a-z])")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_no_size_of_a_slide_is_one_of_an_angle(tmp_path: Path) -> None:
     time = STEP_S * np.arange(12000)
     phase = 2.0 * np.pi * (0.2 * time + 0.02 * time**2)

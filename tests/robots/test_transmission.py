@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from robots.simulated_joint import GRAVITY, INERTIA, LENGTH, MASS, log_columns, robot_file
+from tiers import with_quick
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
@@ -83,7 +84,7 @@ def test_a_rigid_joint_has_none_whatever_its_friction(tmp_path: Path, monkeypatc
     assert joint.cause == "Coulomb friction"
 
 
-@pytest.mark.parametrize("limits", [{"gives_way": 0.02}, {"may_give_way": 0.9}])
+@pytest.mark.parametrize("limits", with_quick([{"gives_way": 0.02}, {"may_give_way": 0.9}], {"gives_way": 0.02}))
 def test_what_is_not_looked_into_is_not_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, limits: dict[str, float]
 ) -> None:

@@ -52,6 +52,7 @@ def birth() -> float:
     return float(found.fun)
 
 
+@pytest.mark.campaign
 def test_a_branch_that_rest_does_not_lead_to_is_foretold_reached_and_measured():
     held = measure(np.linspace(1.05, 1.4, 4) * 1e-3, control="response", lag_deg=(76.0, 104.0), spacing=0.17)
     (isola,) = ForceSurface.of(response_curves(held)).isolas()

@@ -62,6 +62,7 @@ def test_without_a_fold_over_the_amplitude_up_and_down_are_the_same(factor, tmp_
     assert difference.largest < 3e-4
 
 
+@pytest.mark.campaign
 def test_the_jump_at_a_fold_over_the_amplitude_is_named(tmp_path):
     levels = [1.6e-3, 1.8e-3, 1.86e-3, 1.9e-3, 2.02e-3, 2.1e-3, 2.4e-3]
     points, _, _ = measured(0.2, levels, tmp_path, 0.0)

@@ -123,6 +123,7 @@ def test_a_perturbed_drive_tells_the_floquet_exponents_on_both_sides_of_a_fold(t
     assert all(one.identical(other) for one, other in zip(again, result.points, strict=True))
 
 
+@pytest.mark.campaign
 def test_with_a_shaker_and_friction_the_curve_goes_to_its_other_side(tmp_path):
     plan = plan_test(
         "beam", [0.3], test="response_curve", window_periods=10, ramp=0.3, lag_deg=(130.0, 155.0), spacing=0.6,

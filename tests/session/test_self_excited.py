@@ -72,9 +72,8 @@ def test_stable_and_unstable_parts_of_the_damping_curve(name: str, latency: int,
     assert [cycle.stable for cycle in found] == [False, True]
 
 
-@pytest.mark.parametrize(
-    "latency", [pytest.param(0, marks=pytest.mark.campaign), pytest.param(1, marks=pytest.mark.campaign), 3]
-)
+@pytest.mark.campaign
+@pytest.mark.parametrize("latency", [0, 1, 3])
 def test_a_rig_that_is_unstable_at_rest_is_released_and_beyond_its_limit_cycle_held(
     latency: int, tmp_path: Path
 ) -> None:

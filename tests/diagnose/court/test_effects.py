@@ -29,8 +29,8 @@ def test_healthy_tables_have_no_effect(seed: int) -> None:
 
 
 @pytest.mark.court(not_said="effect")
-@pytest.mark.parametrize("stated", [0.3, 1.0, 3.0])
-@pytest.mark.parametrize("stiffer", [1.0, 1.02])
+@pytest.mark.parametrize("stated", with_quick([0.3, 1.0, 3.0], 0.3))
+@pytest.mark.parametrize("stiffer", with_quick([1.0, 1.02], 1.02))
 def test_a_healthy_backbone_has_no_effect(stated: float, stiffer: float) -> None:
     assert diagnosed(one_mode_rig(), backbone(2, stated=stated, stiffer=stiffer)).verdict in HEALTHY
 
@@ -50,6 +50,7 @@ def test_a_cubic_spring_is_named() -> None:
     assert found.ranking[0].parameters["k"].value == pytest.approx(3e9, rel=0.1)
 
 
+@pytest.mark.campaign
 @pytest.mark.court(said="effect")
 def test_a_spring_to_the_ground_that_the_model_lacks_is_named() -> None:
     found = diagnosed(chain_rig(), chain_tables(7, more=(0.0, 400.0, 0.0)))
@@ -60,6 +61,7 @@ def test_a_spring_to_the_ground_that_the_model_lacks_is_named() -> None:
     assert head.parameters["k"].std < 80.0
 
 
+@pytest.mark.campaign
 @pytest.mark.court(not_said="effect")
 def test_a_spring_that_the_model_has_and_that_is_stiffer_is_its_own_parameter() -> None:
     found = diagnosed(chain_rig(), chain_tables(7, more=(0.0, 0.0, 300.0)))

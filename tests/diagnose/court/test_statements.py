@@ -112,7 +112,7 @@ def test_a_cause_beside_something_unnamed_is_a_part(losses: float) -> None:
 
 
 @pytest.mark.court(said="unknown", not_said="partial")
-@pytest.mark.parametrize("course", [{"wave": 0.02}, {"losses": 0.3}])
+@pytest.mark.parametrize("course", with_quick([{"wave": 0.02}, {"losses": 0.3}], {"wave": 0.02}))
 def test_a_course_that_no_law_makes_is_unknown_and_has_no_place(course: dict[str, float]) -> None:
     found = of_one_mode(**course)
     assert found.verdict is Verdict.UNKNOWN
@@ -158,10 +158,9 @@ def test_a_late_channel_is_named_with_its_delay(channel: int) -> None:
     assert f"a{channel}" in leader.detail
 
 
+@pytest.mark.campaign
 @pytest.mark.court(not_said="delay")
-@pytest.mark.parametrize(
-    "gains", [pytest.param((1.0, np.exp(-0.3j), 1.0), marks=pytest.mark.campaign), (1.0, 1.2, 1.0)]
-)
+@pytest.mark.parametrize("gains", [(1.0, np.exp(-0.3j), 1.0), (1.0, 1.2, 1.0)])
 def test_a_phase_or_a_size_that_does_not_grow_with_frequency_is_no_delay(gains: tuple[complex, ...]) -> None:
     found = diagnosed(chain_rig(), chain_tables(35, gains=gains))
     assert found.verdict is Verdict.UNKNOWN or "channel_skew" not in first_effect(found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from independent import self_excited_modes as witness
+from tiers import with_quick
 
 from nmt_rig.reference import compute_reference
 from nmt_rig.rig import load_rig
@@ -38,7 +39,11 @@ def test_van_der_pol_by_averaging() -> None:
 
 @pytest.mark.parametrize(
     ("name", "start", "low", "high"),
-    [("van_der_pol", 1e-3, 4e-3, 6e-3), ("subcritical", 4e-3, 6e-3, 8e-3), ("belt", 3.2e-3, 3.2e-3, 4e-3)],
+    with_quick(
+        [("van_der_pol", 1e-3, 4e-3, 6e-3), ("subcritical", 4e-3, 6e-3, 8e-3), ("belt", 3.2e-3, 3.2e-3, 4e-3)],
+        ("van_der_pol", 1e-3, 4e-3, 6e-3),
+        ("subcritical", 4e-3, 6e-3, 8e-3),
+    ),
 )
 def test_the_free_motion_settles_where_the_damping_ratio_is_zero(
     name: str, start: float, low: float, high: float

@@ -371,28 +371,6 @@ def test_demo_is_the_run_of_the_beam(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert seen[0] == run_command.RunOptions(rig="beam", out=Path("out") / "demo-2")
 
 
-@pytest.mark.campaign
-def test_extract_writes_its_files_and_repeats_itself(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag")
-    status, out, err = run(capsys, "extract", str(bag), "--out", str(tmp_path / "out"))
-    assert (status, err) == (0, "")
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
-        "modal.csv",
-        "modal.json",
-        "report.html",
-        "uncertainty.csv",
-        "uncertainty.json",
-    ]
-    # The signals were made for δ̃ = 0.5 % at 21.7 Hz; the table says so.
-    assert len(re.findall(r"\b21\.700000", out)) == 3
-    assert len(re.findall(r"\b0\.500000", out)) == 3
-    first = (tmp_path / "out" / "modal.csv").read_bytes()
-    status, _, _ = run(capsys, "extract", str(bag), "--out", str(tmp_path / "out"), "--force", "--no-report")
-    assert status == 0
-    assert (tmp_path / "out" / "modal.csv").read_bytes() == first
-    assert [path for path in tmp_path.iterdir() if path.name.startswith(".")] == []
-
-
 class TestOutputFolder:
     def test_of_two_runs_into_one_folder_the_second_is_told_of_the_first(self, tmp_path):
         out = tmp_path / "out"

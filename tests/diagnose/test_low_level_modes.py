@@ -108,17 +108,6 @@ def by_law_of_damping() -> dict:
     }  # fmt: skip
 
 
-def by_modes(kept: tuple[int, ...]) -> dict:
-    modes = [
-        {
-            "frequency_hz": frequency(k) / (2.0 * np.pi), "damping_ratio": DAMPING, "modal_mass_kg": MASS,
-            "shape": [float(v) for v in shape(k, np.array(POINTS) / PARTS)],
-        }
-        for k in kept
-    ]  # fmt: skip
-    return {"kind": "modal", "points": list(POINTS), "modes": modes}
-
-
 def diagnosed(rig: Path, bag: Path) -> Diagnosis:
     return diagnose_bags(rig, [bag], settings=DiagnosisSettings(look_ahead=False)).diagnosis
 
@@ -200,14 +189,6 @@ def test_what_moves_no_mode_promises_nothing():
     )
     assert 0.0 < left[0] < np.sum(looked.residual(none, theta) ** 2)
     assert left[1] == np.inf
-
-
-@pytest.mark.campaign
-def test_a_mode_that_the_model_lacks_is_no_effect(tmp_path: Path):
-    found = diagnosed(*recorded(tmp_path, by_modes((0, 2))))
-    assert found.verdict is Verdict.UNKNOWN
-    assert not found.adequate
-    assert f"a mode at {frequency(1) / (2.0 * np.pi):.4g} Hz" in found.sentences[0]
 
 
 @pytest.mark.campaign

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from diagnose.predicted_observations import chain, observations_of_model, real
+from diagnose.predicted_observations import chain, observations_of_model
 from scipy.stats import multivariate_normal
 
 from nmt_diagnose.diagnose import diagnose_observations
@@ -100,11 +100,3 @@ def test_a_smooth_misfit_below_what_matters_is_no_gap() -> None:
         MODEL, replace(observations, values=observations.values + bent), DiagnosisSettings(look_ahead=False)
     ).diagnosis
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
-
-
-@pytest.mark.campaign
-def test_what_matters_is_still_named() -> None:
-    truth = real(MODEL, local_elements=[{"kind": "cubic_spring", "point": 2, "stiffness_n_m3": 2e8}])
-    found = diagnose_observations(MODEL, observed(truth), DiagnosisSettings(look_ahead=False)).diagnosis
-    assert found.verdict is Verdict.EFFECT
-    assert found.ranking[0].effect == "cubic_stiffness"

@@ -247,7 +247,6 @@ def test_every_consumer_has_a_trial_and_every_kind_its_settings() -> None:
     assert set(SETTINGS) == set(KINDS) - {TestKind.RECORD}
 
 
-@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("kind", "exciters", "settings"), rows())
 def test_a_recording_of_itself_is_right_or_refused_by_every_consumer(
     kind: TestKind, exciters: str, settings: dict[str, Any], tmp_path: Path

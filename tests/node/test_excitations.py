@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import signal
 from pathlib import Path
@@ -34,16 +33,6 @@ SWEEP = {
 def run(out: Path, **options: object) -> RunResult:
     with Bench("beam", out=out, **options) as bench:  # type: ignore[arg-type]
         return bench.run()
-
-
-def digest(bag: Path) -> str:
-    """SHA-256 over all samples and phases."""
-    opened, total = Bag.open(bag), hashlib.sha256()
-    for topic in ("force", "displacement", "acceleration", "voltage"):
-        for block in opened.blocks(topic):
-            total.update(f"{topic} {block.first_sample} {block.oscillator!r} {block.flags}".encode())
-            total.update(block.data.tobytes())
-    return total.hexdigest()
 
 
 @pytest.fixture(scope="module")
@@ -80,15 +69,6 @@ def test_random_needs_no_linear_description_and_fills_its_band(random_run: RunRe
 def test_random_is_no_data_for_modal_points(random_run: RunResult) -> None:
     with pytest.raises(BenchError, match="Windows of a random test give no modal points"):
         extract_bag(random_run.bag or Path())
-
-
-@pytest.mark.campaign
-def test_random_is_the_same_in_six_processes_and_another_with_another_seed(
-    random_run: RunResult, tmp_path: Path
-) -> None:
-    first = digest(random_run.bag or Path())
-    assert digest(run(tmp_path / "processes", processes=True, **RANDOM).bag or Path()) == first
-    assert digest(run(tmp_path / "seed", **{**RANDOM, "seed": 6}).bag or Path()) != first
 
 
 def test_peaks_of_random_trip_the_limits(tmp_path: Path) -> None:
@@ -151,20 +131,6 @@ def test_a_ring_down_is_recorded_from_its_switch_off_on(tmp_path: Path) -> None:
         assert frequency == pytest.approx(segment.frequency_hz, rel=1e-3)
         motion = signals.channels[signals.named(Quantity.DISPLACEMENT, 2)[0]]
         assert np.abs(motion[-period:]).max() < 0.3 * np.abs(motion[:period]).max()
-
-
-@pytest.mark.campaign
-def test_a_sweep_is_the_same_in_six_processes(tmp_path: Path) -> None:
-    alone, apart = (run(tmp_path / str(processes), processes=processes, **SWEEP) for processes in (False, True))
-    assert alone.code == apart.code == ResultCode.SUCCEEDED
-    assert digest(alone.bag or Path()) == digest(apart.bag or Path())
-    bag = Bag.open(alone.bag or Path())
-    (segment,) = segments(bag)
-    assert (segment.kind, segment.samples, segment.frequency_hz) == (TestKind.SWEEP, 10_000, 22.0)
-    oscillator = read_signals(bag, segment.first_sample, segment.samples).oscillator
-    assert oscillator is not None
-    time = np.arange(10_000) / 10_000
-    assert oscillator - oscillator[0] == pytest.approx(22.0 * time + 0.25 * time**2, abs=1e-6)
 
 
 def test_a_stepped_sine_visits_every_frequency(tmp_path: Path) -> None:

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-import asyncio
-import json
 import math
-import threading
-import time
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import aiohttp
 import numpy as np
 import pytest
 from rclpy.node import Node
-from session.test_session import absurd_levels
 from tiers import with_quick
 
 from nmt_bench.harness import Bench, Progress, RunResult
-from nmt_bench.page.page_process import page_process
 from nmt_core.base_node import SAMPLES_QOS
-from nmt_core.vocabulary import LoopState, PointStatus, ResultCode, SteeringAct
-from nmt_msgs.msg import Drive, Frequency, Level, LockEvent
+from nmt_core.vocabulary import LoopState, PointStatus, ResultCode
+from nmt_msgs.msg import Drive, Level, LockEvent
 from nmt_msgs.msg import SampleBlock as SampleBlockMessage
-from nmt_msgs.srv import Steer
 from nmt_record.bag.bag_reader import Bag
 
 
@@ -115,15 +106,6 @@ def test_a_second_publisher_of_level_moves_nothing_and_ends_the_run(linked: bool
         assert counters["pll"]["refused"] >= len(sent)
 
 
-@pytest.mark.campaign
-def test_a_second_publisher_of_frequency_moves_nothing_and_ends_the_run(tmp_path: Path) -> None:
-    sent = [Frequency(last_sample=2**60, level_sequence=2**30, state=Frequency.LOCKED), Frequency(state=200)]
-    result, counters = disturbed(tmp_path / "out", Frequency, "frequency", sent)
-    assert result.code == ResultCode.NODE_LOST
-    assert_ended_by_a_ramp(result)
-    assert counters["sequencer"]["refused"] >= 1
-
-
 def test_a_run_does_not_begin_under_two_publishers() -> None:
     with Bench("beam", [0.3], window_periods=10, node_values={"sequencer": {"ready_timeout": 2.0}}) as bench:
         stranger(bench).create_publisher(Drive, "drive", SAMPLES_QOS)
@@ -195,89 +177,3 @@ def test_a_second_goal_and_a_senseless_goal_are_rejected() -> None:
         assert not answer.result().accepted  # type: ignore[attr-defined]
     assert result.code == ResultCode.SUCCEEDED
     assert len(result.points) == 2
-
-
-_BY_TYPE = (AssertionError, TypeError, ValueError, OverflowError)
-
-
-async def ask_the_page(address: str, values: list[Any]) -> Counter[int]:
-    """Orders of one level each by a page's own browser; how often each status answered."""
-    origin = address.partition("/?")[0]
-    statuses = Counter[int]()
-    async with aiohttp.ClientSession(cookie_jar=aiohttp.CookieJar(unsafe=True)) as client:
-        async with client.get(address) as answer:
-            assert answer.status == 200
-        for value in values:
-            text = json.dumps({"act": "change_levels", "levels": [0.3, value]}, default=str)
-            headers = {"Origin": origin, "Content-Type": "application/json"}
-            status = 429  # orders come at a limited rate
-            while status == 429:
-                async with client.post(f"{origin}/steer", data=text, headers=headers) as answer:
-                    status = answer.status
-                    taken = (await answer.json()).get("taken") if status == 200 else False
-                if status == 429:
-                    await asyncio.sleep(0.2)
-            assert not taken, value
-            statuses[status] += 1
-    return statuses
-
-
-@pytest.mark.campaign
-def test_three_hundred_absurd_levels_by_page_service_and_action_move_nothing(tmp_path: Path) -> None:
-    """By action while nothing runs, by service and page in a run; what the messages' types refuse counts, too."""
-    goals: list[Any] = []
-    answers: list[bool] = []
-    by_type = Counter[str]()
-    pages: list[Counter[int]] = []
-    absurd = [51.0 if value is True else value for value in absurd_levels()]  # in a message true is the number 1
-    left = list(absurd)
-
-    def steer_next(future: Any = None) -> None:
-        """One request after the other: a service's queue holds ten."""
-        if future is not None:
-            answers.append(future.result().success)
-        while left:
-            try:
-                request = Steer.Request(act=SteeringAct.CHANGE_LEVELS, levels=[0.3, left.pop()], source="nobody")
-            except _BY_TYPE:
-                by_type["service"] += 1
-                continue
-            bench.client.steer.call_async(request).add_done_callback(steer_next)
-            return
-
-    with (
-        Bench("beam", [0.3] * 12, out=tmp_path / "out", window_periods=300) as bench,
-        page_process(tmp_path / "page.log", ("--domain", str(bench.domain_id), "--no-reference")) as served,
-    ):
-        own = served.lines[0].partition(": ")[2].strip()
-        visitor = threading.Thread(target=lambda: pages.append(asyncio.run(ask_the_page(own, absurd_levels()))))
-
-        def disturb(progress: Progress) -> None:
-            if progress.state == LoopState.LOCKED and not visitor.ident:
-                visitor.start()
-                steer_next()
-
-        bench.spin(2.0)
-        for value in absurd:
-            try:
-                goals.append((value, bench.client.send_goal({**bench.plan.goal, "levels": [0.3, value]}, None)))
-            except _BY_TYPE:
-                by_type["action"] += 1
-                continue
-            end = time.monotonic() + 10.0
-            while not goals[-1][1].done() and time.monotonic() < end:
-                bench.spin(0.01)
-        result = bench.run(disturb)
-        end = time.monotonic() + 60.0
-        while (visitor.is_alive() or len(answers) + by_type["service"] < 100) and time.monotonic() < end:
-            bench.spin(0.1)
-    assert len(goals) + by_type["action"] == 100
-    assert len(answers) + by_type["service"] == 100
-    assert [value for value, goal in goals if goal.result().accepted] == []
-    assert not any(answers)
-    assert sum(pages[0].values()) == 100
-    assert result.code == ResultCode.SUCCEEDED
-    assert [point.status for point in result.points] == [PointStatus.OK] * 12
-    assert result.bag is not None
-    voltage = np.concatenate([block.data[0] for block in Bag.open(result.bag).blocks("voltage")])
-    assert np.max(np.abs(voltage)) <= 0.3

@@ -50,16 +50,6 @@ def test_an_amplitude_is_held_also_where_the_force_falls(slope):
     assert max(course) < 1.2
 
 
-@pytest.mark.campaign
-def test_a_fold_over_the_force_is_none_over_the_amplitude():
-    assert folds(1.0) == ([], [])
-    forces, amplitudes = folds(0.5)
-    assert len(forces) == 2
-    assert not amplitudes
-    assert len(folds(0.2)[0]) == 2
-    assert len(folds(0.2)[1]) == 2
-
-
 @pytest.mark.parametrize(
     ("factor", "direction"), with_quick([(1.0, 1), (1.0, -1), (0.5, 1), (0.5, -1)], (1.0, 1), (0.5, -1))
 )

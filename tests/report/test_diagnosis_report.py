@@ -92,12 +92,6 @@ def test_a_page_for_every_verdict(verdict: Verdict, request: pytest.FixtureReque
     assert page.count('<figure id="map-') == len(report.observations.tests)
 
 
-@pytest.mark.campaign
-def test_the_same_report_is_the_same_page() -> None:
-    pages = {diagnosis_page(fixture.report(Verdict.EFFECT, fixture.one_test())) for _ in range(2)}
-    assert len(pages) == 1
-
-
 @pytest.mark.usefixtures("undrawn")
 def test_a_class_is_named_with_its_splitting_test() -> None:
     report = fixture.report(Verdict.EFFECT, fixture.one_test())

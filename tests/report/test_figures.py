@@ -32,7 +32,7 @@ RUN = synthetic_run(levels=3, failed=None)
 
 
 @pytest.fixture(scope="module")
-def report(module_undrawn: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def report(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     write_report(RUN, folder / "report.html")
     return folder

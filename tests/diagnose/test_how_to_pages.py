@@ -104,6 +104,7 @@ def test_hits_of_a_hammer_give_the_modes_and_no_finding(tmp_path: Path, monkeypa
     assert result.remarks == ("No voltage was recorded: the exciter's share of the plant is not known.",)
 
 
+@pytest.mark.campaign
 def test_the_friction_of_the_joint_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     exec(compile(example("robot-joint.md"), "example", "exec"), {})

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnose.oscillator_records import OMEGA, RATE, RATIO, RIG, band_noise, imported, rig_in
 from scipy.signal import TransferFunction, lsim
+from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity, SampleBlock
 from nmt_core.messages.wire import BlockWriter
@@ -197,7 +198,7 @@ def test_a_bias_moves_the_working_point_of_a_cubic_spring(tmp_path: Path, start:
     assert left(rig_in(tmp_path), bag) > 0.05
 
 
-@pytest.mark.parametrize("first", [0, 2500])
+@pytest.mark.parametrize("first", with_quick([0, 2500], 2500))
 def test_a_record_cut_in_mid_motion_lacks_nothing(tmp_path: Path, first: int) -> None:
     rig, rng = rig_in(tmp_path), np.random.default_rng(2)
     volts = band_noise(8192, 5, 0.02)
@@ -222,7 +223,7 @@ def test_noise_of_the_measured_input_is_noise_of_the_response(tmp_path: Path) ->
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION), found.verdict
 
 
-@pytest.mark.parametrize("broad", [False, True])
+@pytest.mark.parametrize("broad", with_quick([False, True], True))
 def test_noise_of_the_input_comes_through_a_sharp_resonance(broad: bool) -> None:
     """White noise of density S gives σ² = S ω/(8 ζ)·|H(0)|² behind an oscillator (Crandall), S per Hz and one-sided."""
     rng = np.random.default_rng(6)

@@ -66,7 +66,7 @@ def test_alike_units_are_the_weighted_mean():
 )
 def test_the_band_holds_the_next_unit(between, low, high):
     random = np.random.default_rng(11)
-    inside, alarms, trials = 0, 0, 700
+    inside, alarms, trials = 0, 0, 300
     for _ in range(trials):
         values = random.normal(0.0, between, 6) + random.normal(0.0, 1.0, 6)
         found = components(estimates(values[:5], 1.0))
@@ -79,7 +79,7 @@ def test_the_band_holds_the_next_unit(between, low, high):
 
 def test_the_false_alarms_of_a_group_are_shared_by_its_parameters():
     """Eight parameters of five units that are alike: 2 % of groups, at the level of one parameter 14 %."""
-    random, alarms, trials, parameters = np.random.default_rng(12), 0, 120, 8
+    random, alarms, trials, parameters = np.random.default_rng(12), 0, 60, 8
     for _ in range(trials):
         groups = [estimates(random.normal(0.0, 3.0, 5), 0.3) for _ in range(parameters)]
         alarms += any(components(group, parameters).odd for group in groups)
@@ -101,7 +101,7 @@ def test_what_all_units_share_hides_no_odd_one_and_widens_no_band():
     """Each estimate is off by 5 % of itself, all alike, and by 0.5 % of its own; a unit of twice the value is odd."""
     random = np.random.default_rng(6)
     found = inside = 0
-    trials = 300
+    trials = 150
     for _ in range(trials):
         values = 100.0 * (1.0 + 0.02 * random.standard_normal(6)) * (1.0 + 0.005 * random.standard_normal(6))
         values *= 1.0 + 0.05 * random.standard_normal()

@@ -111,7 +111,7 @@ def low_pass(corner: float) -> Any:
 
 
 @pytest.mark.court(said="linear")
-@pytest.mark.parametrize("seed", with_quick(range(10), 0, 1, 2))
+@pytest.mark.parametrize("seed", with_quick(range(10), 0))
 def test_a_healthy_record_has_no_finding(seed: int) -> None:
     structure = any_structure(seed)
     points = (2,) if seed % 2 else (1, 3)

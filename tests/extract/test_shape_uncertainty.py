@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity
 from nmt_extract.linear.identification import scaled_mode
@@ -20,9 +21,9 @@ def shape_of(record, mode):
     return scaled_mode(record, mode, None, (1.0, 1.0), None)
 
 
-@pytest.mark.parametrize("drive", KINDS)
+@pytest.mark.parametrize("drive", with_quick(KINDS, Quantity.VELOCITY))
 @pytest.mark.parametrize("response", KINDS)
-@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize("sign", with_quick([1.0, -1.0], -1.0))
 def test_the_stated_scatter_is_that_of_draws(drive: Quantity, response: Quantity, sign: float) -> None:
     """Whether a wrong eigenvalue adds to or takes from a wrong residue depends on the powers of both quantities."""
     draw, names = np.random.default_rng(5), ["d", "a", "b"]

@@ -34,6 +34,7 @@ def laboratory(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.campaign
 def test_a_driver_that_breaks_the_contract_is_not_driven(laboratory: Path) -> None:
     driver = laboratory / "laboratory_driver.py"
     driver.write_text(driver.read_text().replace("volts.shape[1] / self._rate", "volts.shape[1] / 4000.0"))

@@ -68,7 +68,8 @@ def seconds_to_zero(lines: list[OutputLine]) -> float:
     return (held.sample - ramping.fed_at) / RATE
 
 
-@pytest.mark.parametrize("fault", [signal.SIGSTOP, pytest.param(signal.SIGKILL, marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("fault", [signal.SIGSTOP, signal.SIGKILL])
 def test_a_plant_that_is_stopped_or_killed(fault: signal.Signals, tmp_path: Path) -> None:
     with Bench("beam", [0.3], processes=True, **options(tmp_path)) as bench:
         assert bench.processes is not None

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 rclpy = pytest.importorskip("rclpy", reason="needs ROS 2; source the workspace")
 pytest.importorskip("nmt_msgs.msg", reason="needs the built workspace; source ros2_ws/install/setup.bash")
@@ -515,7 +516,14 @@ def test_wrong_parameters_are_refused_and_leave_nothing(stage, values, sentence)
     assert not stage.path.exists()
 
 
-@pytest.mark.parametrize(("number", "whole"), [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGKILL, False)])
+@pytest.mark.parametrize(
+    ("number", "whole"),
+    with_quick(
+        [(signal.SIGINT, True), (signal.SIGTERM, True), (signal.SIGKILL, False)],
+        (signal.SIGTERM, True),
+        (signal.SIGKILL, False),
+    ),
+)
 def test_the_executable_under_signals(stage, number, whole):
     process = subprocess.Popen(
         [

@@ -44,11 +44,6 @@ def linear_is_exact(file: Path, out: Path) -> None:
     assert found["frequencies_rad_s"] == pytest.approx(list(exact.frequencies_rad_s), rel=1e-4)
 
 
-def test_a_mode_that_two_poles_of_the_averages_lead_to_is_one(tmp_path: Path) -> None:
-    rod = next(each for each in STRUCTURES if each.name == "rod_8_consistent")
-    linear_is_exact(rod.write(tmp_path), tmp_path / "linear")
-
-
 @pytest.mark.campaign
 @pytest.mark.parametrize("structure", STRUCTURES, ids=names)
 def test_a_structure_from_matrices_has_no_gap_to_itself(structure: ElementStructure, tmp_path: Path) -> None:

@@ -165,6 +165,7 @@ def of_two_channels(limit: float) -> Observations:
     return reading.ring_down_observations("tap", stretch, math.nan, view, by_name, ObservationSettings())
 
 
+@pytest.mark.campaign
 def test_samples_of_a_decay_that_stay_at_a_level_say_that_a_channel_is_clipped() -> None:
     """Nothing else of this decay does: the rows stand where it is smaller than the level, or within their gains."""
     model = two_masses(LIGHT, 0.0)

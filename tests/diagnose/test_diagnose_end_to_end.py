@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
+from tiers import with_quick
 
 from nmt_diagnose.diagnose import FAR_BEHIND, DiagnosisOutcome, diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
@@ -92,7 +93,7 @@ def test_a_withheld_effect_is_unknown_and_changes_no_physics() -> None:
     assert found.probabilities["unknown"] > 0.5
 
 
-@pytest.mark.parametrize("quadratic", [0.0, 3e5])
+@pytest.mark.parametrize("quadratic", with_quick([0.0, 3e5], 0.0))
 def test_hum_of_a_channel_does_not_compete_with_a_cause(quadratic: float) -> None:
     """The line at 50 Hz stands out by hundreds of standard deviations; alone it is the effect, beside a spring not."""
     humming = [s.model_dump() | ({"hum_amplitude": 6e-4} if s.quantity == "force" else {}) for s in MODEL.sensors]
@@ -135,6 +136,7 @@ def test_a_wrong_parameter_is_a_calibration() -> None:
     assert "resistance_ohm" in found.sentences[1]
 
 
+@pytest.mark.campaign
 def test_a_weaker_effect_beside_a_strong_one_is_named_or_warned_of() -> None:
     """A force gain of 4 % beside a cubic spring of hundreds of standard deviations bends the masses instead."""
     gains = [s.model_dump() | ({"gain": 1.04} if s.quantity == "force" else {}) for s in MODEL.sensors]

@@ -134,7 +134,7 @@ NOT_READ_DRIVEN = {
 
 
 READ_DRIVEN = {"power 3", "slider 0", "gap 0", "friction 0", "speed 1"}
-"""Forms whose law the first tier reads from a driven record; that of all others from a record of imposed motion."""
+"""Forms whose law the first tier reads from a driven record; those of others but bristles from an imposed motion."""
 
 
 def forms(known: dict[str, str], first: Callable[[str], bool] = lambda name: True) -> list[Any]:
@@ -182,7 +182,7 @@ def is_predicted(number: int, held: str, folder: Path, tmp_path: Path) -> None:
     assert error < (0.2 if coarse else 0.1) * without
 
 
-@pytest.mark.parametrize("number", forms(NOT_READ, lambda name: name not in READ_DRIVEN))
+@pytest.mark.parametrize("number", forms(NOT_READ, lambda name: name not in READ_DRIVEN and name != "bristle 0"))
 def test_the_law_of_a_simulated_record_is_that_of_the_file(number: int, folder: Path, tmp_path: Path) -> None:
     case = case_of(number, folder)
     rig = rig_of(tmp_path, TEXT)

@@ -83,6 +83,7 @@ def test_the_answer_begins_with_a_law_that_closes_more_and_the_file_gets_it() ->
     assert found.other != found.model
 
 
+@pytest.mark.campaign
 @pytest.mark.court(not_said="law")
 def test_a_law_that_says_the_same_as_the_effect_does_not_lead(tmp_path: Path) -> None:
     """Phase resonance of a row of masses with a cubic spring."""

@@ -19,7 +19,7 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Verdict
 
 PAGE = "laser-and-current.md"
-RATE, OVER, SECONDS, FACTOR, MASS, RATIO, CUBIC = 2000, 4, 20, 16.0, 0.9, 0.004, 4e8
+RATE, OVER, SECONDS, FACTOR, MASS, RATIO, CUBIC = 2000, 2, 20, 16.0, 0.9, 0.004, 4e8
 OMEGA = 2.0 * math.pi * 58.0
 
 

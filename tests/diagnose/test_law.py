@@ -63,6 +63,7 @@ def test_a_cubic_spring_is_read_with_its_place_and_strength() -> None:
     assert found.closed_above > 0.9
 
 
+@pytest.mark.campaign
 @pytest.mark.court(said="law")
 def test_a_clearance_is_read_with_gap_and_stiffness() -> None:
     found = reading((2, "gap", (8.0e3, 2.0e-4), ()))

@@ -150,13 +150,8 @@ def test_images_of_a_held_drive_add_to_lines_however_small_a_response_is() -> No
 
 
 def test_a_gain_within_the_tolerance_of_its_channel_is_no_effect() -> None:
-    within, beyond = (
-        laboratory(observed(real(MODEL, sensors=_with_gain(gain)))) for gain in (1.01, 1.2)
-    )  # fmt: skip
+    within = laboratory(observed(real(MODEL, sensors=_with_gain(1.01))))
     assert diagnosed(within).verdict in (Verdict.NONE, Verdict.CALIBRATION)
-    found = diagnosed(beyond)
-    assert found.verdict is Verdict.EFFECT
-    assert found.ranking[0].effect == "response_gain"
 
 
 def _with_gain(gain: float) -> list[dict[str, object]]:

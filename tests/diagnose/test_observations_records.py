@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from diagnose.oscillator_records import NATURAL_HZ, OMEGA, RATE, RATIO, RIG, band_noise, imported, rig_in
 from scipy.signal import TransferFunction, cont2discrete, lfilter, lsim
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
@@ -257,7 +258,7 @@ def test_silverbox(data_folder: Path, tmp_path: Path) -> None:
     assert 0.3e-3 < observations.sigma[mine][0] < 0.8e-3
 
 
-@pytest.mark.parametrize(("late_s", "gain"), [(0.0, 1.0), (150e-6, 1.02), (-300e-6, 0.98)])
+@pytest.mark.parametrize(("late_s", "gain"), with_quick([(0.0, 1.0), (150e-6, 1.02), (-300e-6, 0.98)], (150e-6, 1.02)))
 def test_a_late_voltage_or_one_of_another_gain_is_the_measuring_chain(tmp_path: Path, late_s: float, gain: float):
     rng = np.random.default_rng(3)
     finer = 8

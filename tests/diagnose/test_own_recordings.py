@@ -118,6 +118,7 @@ def test_a_spring_that_takes_the_frequency_far_is_followed(tmp_path: Path) -> No
     assert distance(observations, rig) < 1.5
 
 
+@pytest.mark.campaign
 def test_a_response_curve_is_what_its_model_predicts_on_every_branch(tmp_path: Path) -> None:
     """Lines of which some are between the folds; a spring that is 5 % off is told by them."""
     curve = {"test": "response_curve", "lag_deg": (60.0, 165.0), "spacing": 0.45, "window_periods": 20, "ramp": 0.3}

@@ -11,6 +11,7 @@ import pytest
 from diagnose.predicted_tests import SHAKER, chain, channels_of, level, locked, noise_test, rows_of
 from moved_threshold import moved_threshold
 from rig.effect_rigs import oscillator, rig_of, run
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
@@ -187,7 +188,7 @@ def test_a_reduced_structure_keeps_the_responses():
     assert 0.0 < np.max(np.abs(whole - reduced)) < 2e-5
 
 
-@pytest.mark.parametrize("name", ["beam", "pair"])
+@pytest.mark.parametrize("name", with_quick(["beam", "pair"], "pair"))
 def test_jacobian_against_differences_of_predictions(name):
     rig = load_rig("beam") if name == "beam" else chain()
     volts, response = ((0.3, 1.0), "x2") if name == "beam" else ((0.5, 2.0), "x1")

@@ -348,7 +348,8 @@ def weakest_of_each() -> dict[str, tuple[Rig, Rig]]:
 WEAK = {"force_factor_asymmetric": {"force_factor_asymmetric"}, "amplitude_damping": {"amplitude_damping"}}
 
 
-@pytest.mark.parametrize("name", with_quick(WEAK, "force_factor_asymmetric"))
+@pytest.mark.campaign
+@pytest.mark.parametrize("name", WEAK)
 def test_the_weakest_that_would_show_is_reported(name: str) -> None:
     """Whether it matters or not; a third of it is not."""
     third, weakest = weakest_of_each()[name]

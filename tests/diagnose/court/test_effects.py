@@ -35,6 +35,7 @@ def test_a_healthy_backbone_has_no_effect(stated: float, stiffer: float) -> None
     assert diagnosed(one_mode_rig(), backbone(2, stated=stated, stiffer=stiffer)).verdict in HEALTHY
 
 
+@pytest.mark.campaign
 @pytest.mark.court(not_said="effect")
 def test_a_gain_of_two_and_a_half_per_cent_is_no_stop_and_no_mass() -> None:
     """All three accelerometers louder by two and a half tolerances, which one law cannot stand in for."""

@@ -11,7 +11,6 @@ import pytest
 from diagnose.predicted_observations import chain, observations_of_model, real
 from moved_threshold import moved_threshold
 from scipy.stats import chi2, norm
-from tiers import with_quick
 
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings

@@ -364,6 +364,7 @@ def backbone_case(own: Path, hardening: float, truth: str) -> None:
     (own / "truth.yaml").write_text(truth)
 
 
+@pytest.mark.campaign
 def test_the_command_diagnoses_a_backbone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A printed table of a mode that is as its model says, by the program itself."""
     backbone_case(tmp_path / "laboratory" / "table", 0.0, "{kind: healthy, verdicts: [none, calibration]}")

@@ -208,6 +208,7 @@ def test_a_package_behind_a_link_shares_the_cache(sample: Sample, tmp_path: Path
     assert sample.run()[:2] == (21.0, 1)
 
 
+@pytest.mark.campaign
 def test_the_folder_of_the_environment_is_taken(sample: Sample, tmp_path: Path) -> None:
     sample.environment["NUMBA_CACHE_DIR"] = str(tmp_path / "kept")
     assert sample.run(new_environment=True)[2].parent == tmp_path / "kept" / "kernels"

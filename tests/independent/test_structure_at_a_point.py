@@ -214,6 +214,7 @@ def test_a_contact_that_the_model_takes_for_a_spring_is_named_when_it_slips(tmp_
     assert found["gap"]["closed"] > 0.9
 
 
+@pytest.mark.campaign
 def test_a_clamped_beam_is_cubic_beside_its_second_mode_and_a_weak_even_force(tmp_path: Path) -> None:
     omega = 2.0 * np.pi * 132.4
     cubic = omega**2 / 0.5e-3**2

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tiers import with_quick
 
 from nmt_plant.check.exciter_in_turn import check_in_turn, with_first
 from nmt_plant.check.hardware_check import check
@@ -63,7 +62,8 @@ def test_nothing_is_found_on_a_healthy_bench_and_both_monitors_follow():
     assert {figures.channel for figures in result.channels if figures.coherence > 0.9} >= {"u", "u2", "f1", "f2"}
 
 
-@pytest.mark.parametrize("number", with_quick([1, 2], 2))
+@pytest.mark.campaign
+@pytest.mark.parametrize("number", [1, 2])
 def test_an_output_without_its_cable_is_found_at_its_exciter(number):
     gains = [1.0, 1.0]
     gains[number - 1] = 0.0

@@ -50,9 +50,7 @@ def test_an_amplitude_is_held_also_where_the_force_falls(slope):
     assert max(course) < 1.2
 
 
-@pytest.mark.parametrize(
-    ("factor", "direction"), with_quick([(1.0, 1), (1.0, -1), (0.5, 1), (0.5, -1)], (1.0, 1), (0.5, -1))
-)
+@pytest.mark.parametrize(("factor", "direction"), with_quick([(1.0, 1), (1.0, -1), (0.5, 1), (0.5, -1)], (0.5, -1)))
 def test_the_levels_pass_an_internal_resonance(factor, direction):
     points = measured(factor, list(np.geomspace(0.6e-3, 2.7e-3, 8)[::direction]))
     assert all(point.status is PointStatus.OK for point in points)

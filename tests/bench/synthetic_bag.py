@@ -58,16 +58,7 @@ def write_bag(
         "started": "2026-01-01T00:00:00+00:00",
     }
     writer = BagWriter(path, run_json=json.dumps(run), rig_yaml=RIG_YAML)
-    for name in (
-        "force",
-        "displacement",
-        "voltage",
-        "frequency",
-        "level",
-        "lock",
-        "modal_point",
-        "run_state",
-    ):
+    for name in ("force", "displacement", "voltage", "frequency", "level", "lock", "modal_point", "run_state"):
         topic = parse_topic(name)
         writer.add_topic(name, topic.message_type, topic.service)
     clock = 0

@@ -116,8 +116,7 @@ def bag_of(kind: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize(
-    "kind",
-    ["missing", "empty folder", "wrong metadata", "empty file", "ros 1 bag", "text", "only the magic", "noise"],
+    "kind", ["missing", "empty folder", "wrong metadata", "empty file", "ros 1 bag", "text", "only the magic", "noise"]
 )
 def test_a_bag_that_is_none(kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     bag = bag_of(kind, tmp_path)

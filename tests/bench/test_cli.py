@@ -236,8 +236,7 @@ def test_what_is_no_bag(capsys: pytest.CaptureFixture[str], tmp_path: Path, cont
 
 
 @pytest.mark.parametrize(
-    ("option", "content"),
-    [("--linear", "{"), ("--linear", "{}"), ("--reference", "a,b\n1,2\n"), ("--reference", "")],
+    ("option", "content"), [("--linear", "{"), ("--linear", "{}"), ("--reference", "a,b\n1,2\n"), ("--reference", "")]
 )
 def test_wrong_side_files(capsys: pytest.CaptureFixture[str], tmp_path: Path, option: str, content: str) -> None:
     file = tmp_path / "side"

@@ -51,11 +51,7 @@ CASES = [
     ("check beam --device nidaqmx --out OUT", "no nidaqmx", "type: pip install 'nidaqmx[grpc]'"),
     ("run beam --device nidaqmx --out OUT", "nothing changed", "install it from ni.com"),
     ("linear beam --device nidaqmx --out OUT", "nothing changed", "install it from ni.com"),
-    (
-        "sweep beam --force 1 --from 20 --to 22 --device nidaqmx@127.0.0.1:9 --out OUT",
-        "nothing changed",
-        "answers at",
-    ),
+    ("sweep beam --force 1 --from 20 --to 22 --device nidaqmx@127.0.0.1:9 --out OUT", "nothing changed", "answers at"),
     ("specimen beam --device nidaqmx --address 127.0.0.1:0", "no nidaqmx", "type: pip install 'nidaqmx[grpc]'"),
 ]
 

@@ -20,13 +20,7 @@ from nmt_blind.campaign.run import read_result, run_campaign
 from nmt_blind.campaign.score import compute_scores, score_campaign
 from nmt_blind.campaign.score_sheet import markdown, page, print_scores, write_sheets
 from nmt_blind.campaign.scored_case import ScoredCase, effect_set, scored_case
-from nmt_blind.campaign.statistics import (
-    Proportion,
-    area_under_roc,
-    reliability,
-    roc_curve,
-    threshold_for,
-)
+from nmt_blind.campaign.statistics import Proportion, area_under_roc, reliability, roc_curve, threshold_for
 from nmt_core.errors import BenchError
 
 

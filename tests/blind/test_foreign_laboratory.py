@@ -14,13 +14,7 @@ import yaml
 
 from nmt_bench.cli import main
 from nmt_blind.campaign.explain import explain_foreign
-from nmt_blind.campaign.foreign_case import (
-    ForeignTruth,
-    contradictions,
-    judge,
-    read_cases,
-    read_truth,
-)
+from nmt_blind.campaign.foreign_case import ForeignTruth, contradictions, judge, read_cases, read_truth
 from nmt_blind.campaign.foreign_run import ForeignLine, print_lines, run_laboratory, summary, write_tables
 from nmt_core.errors import BenchError
 from nmt_laboratories import laboratory_one, laboratory_two

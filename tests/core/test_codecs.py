@@ -9,16 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core.message_records import (
-    RATE,
-    READ,
-    RECORDS,
-    WRITE,
-    blocks,
-    same,
-    texts,
-    values_of,
-)
+from core.message_records import RATE, READ, RECORDS, WRITE, blocks, same, texts, values_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -50,16 +41,7 @@ from nmt_core.messages.wire import (
     read_drive,
     write_drive,
 )
-from nmt_core.vocabulary import (
-    ControlKind,
-    PointStatus,
-    Quantity,
-    RecordKind,
-    ResultCode,
-    RunPhase,
-    TestKind,
-    Waveform,
-)
+from nmt_core.vocabulary import ControlKind, PointStatus, Quantity, RecordKind, ResultCode, RunPhase, TestKind, Waveform
 from nmt_record.bag.message_definitions import local_definitions
 
 MESSAGES = Path(__file__).resolve().parents[2] / "ros2_ws" / "src" / "nmt_msgs" / "msg"

@@ -8,15 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from nmt_core.options import (
-    add_options,
-    argument,
-    needed_option,
-    option,
-    option_made,
-    optional_argument,
-    options_of,
-)
+from nmt_core.options import add_options, argument, needed_option, option, option_made, optional_argument, options_of
 
 
 @dataclass(frozen=True, kw_only=True)

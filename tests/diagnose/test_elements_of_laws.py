@@ -124,12 +124,10 @@ NOT_DRIVEN = {
     "weakening bristle 0": "4.6 % of the motion is lost: the limit falls within a sample or two",
     "weakening friction 0": "8 %: alone it feeds what differs, 0.1 % of the force is 0.9 % of the motion",
 }
-NOT_READ = {
-    "power 1": "the gains of motion and force take 13 % of the inertia, and the spring makes up for it",
-}
+NOT_READ = {"power 1": "the gains of motion and force take 13 % of the inertia, and the spring makes up for it"}
 
 NOT_READ_DRIVEN = {
-    "power 1": "the model's own spring of 12 N/m takes it within its prior, and leaves 0.32 of the tolerances",
+    "power 1": "the model's own spring of 12 N/m takes it within its prior, and leaves 0.32 of the tolerances"
 }
 
 

@@ -19,20 +19,8 @@ from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.ahead.apart import expected_information
 from nmt_diagnose.ahead.hidden_effects import Hidden
 from nmt_diagnose.investigation.answers import answers_of
-from nmt_diagnose.investigation.investigation import (
-    NO,
-    STOP,
-    YES,
-    Investigation,
-    InvestigationSettings,
-    proposed,
-)
-from nmt_diagnose.investigation.investigation_record import (
-    AskedTest,
-    EmptyTestError,
-    InvestigationRecord,
-    read_record,
-)
+from nmt_diagnose.investigation.investigation import NO, STOP, YES, Investigation, InvestigationSettings, proposed
+from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, read_record
 from nmt_diagnose.ledger.diagnosis import HIDDEN, NextTest, Ranked, Share, Verdict
 from nmt_report.investigation_report import investigation_page, shown_answers
 

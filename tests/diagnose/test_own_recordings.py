@@ -169,12 +169,7 @@ def test_a_kind_is_taken_or_refused_in_one_sentence(kind: TestKind) -> None:
         sentence = covers(test)
         assert not sentence or (sentence.endswith(".") and sentence.count(". ") == 0 and "use " in sentence)
     assert bool(covers(one)) == (
-        kind
-        in (
-            TestKind.SWEEP,
-            TestKind.SECONDARY_RESONANCE,
-            TestKind.SELF_EXCITED,
-        )
+        kind in (TestKind.SWEEP, TestKind.SECONDARY_RESONANCE, TestKind.SELF_EXCITED)
     )  # fmt: skip)
 
 

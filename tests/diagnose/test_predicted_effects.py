@@ -77,10 +77,7 @@ ON_THE_BEAM = {
     "stinger_stiffness@rotation": (3.0,),
     "shared_delay@displacement channels": (5.0,),
 }
-WITHOUT_FRICTION = {
-    "microslip@1-2": (6.0, math.log(0.5), 0.0),
-    "microslip@2": (3.0, math.log(0.4), math.log(0.6)),
-}
+WITHOUT_FRICTION = {"microslip@1-2": (6.0, math.log(0.5), 0.0), "microslip@2": (3.0, math.log(0.4), math.log(0.6))}
 # The chain by its matrices, with regions: the spring between its masses, the second mass.
 ON_THE_MATRICES = {"local_stiffness@link": (3.0,), "local_mass@tip": (-3.0,)}
 # What no steady state of a channel shows: means over windows of a line of unknown phase, and the loop's own settings.

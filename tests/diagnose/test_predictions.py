@@ -728,9 +728,7 @@ def test_a_backbone_table_is_the_modes_own_whatever_the_sensors_do():
     # The amplitudes are what their channel shows.
     louder = BackboneTable("table", 1, MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), amplitudes / 1.3)
     np.testing.assert_allclose(
-        with_sensor("displacement", gain=1.3),
-        Forward([louder], rows_of(own, 24.0)).predict(rig).values,
-        rtol=1e-9,
+        with_sensor("displacement", gain=1.3), Forward([louder], rows_of(own, 24.0)).predict(rig).values, rtol=1e-9
     )
 
 

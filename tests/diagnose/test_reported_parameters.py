@@ -52,14 +52,8 @@ REPORTED = {
         },
     ),
     "amplifier_saturation": ("chain", {"V": lambda rig: rig.exciter.amplifier_saturation_v}),
-    "clipping@x1": (
-        "chain",
-        {"level": lambda rig: sensor(rig, "x1").clip},
-    ),
-    "low_pass@x1": (
-        "chain",
-        {"low_pass_hz": lambda rig: sensor(rig, "x1").low_pass_hz},
-    ),
+    "clipping@x1": ("chain", {"level": lambda rig: sensor(rig, "x1").clip}),
+    "low_pass@x1": ("chain", {"low_pass_hz": lambda rig: sensor(rig, "x1").low_pass_hz}),
     "response_gain@x1": ("chain", {"g": lambda rig: sensor(rig, "x1").gain - 1.0}),
     "force_gain@f1": ("chain", {"g": lambda rig: sensor(rig, "f1").gain - 1.0}),
 }

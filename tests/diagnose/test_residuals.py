@@ -109,11 +109,7 @@ def test_observables_of_held_out_rows_pool_to_the_residual_of_the_headline():
     generator = np.random.default_rng(8)
     rows = observations.rows
     pairs = [
-        (
-            4.0 * generator.standard_normal(len(rows)),
-            generator.standard_normal(len(rows)),
-            np.isin(rows.level, levels),
-        )
+        (4.0 * generator.standard_normal(len(rows)), generator.standard_normal(len(rows)), np.isin(rows.level, levels))
         for levels in ((1, 3, 5, 7), (6, 7))
     ]
     table = per_observable(observations, pairs).values()

@@ -89,10 +89,7 @@ def test_a_point_that_the_model_lacks_is_left_out_alone() -> None:
         ("force", {"kind": "force", "point": 1, "newton_per_volt": 5.0}),
         ("voltage", {"kind": "force", "point": 1, "newton_per_volt": 5.0}),
         ("base", {"kind": "shaking_table", "point": 1, "acceleration_per_volt_m_s2": 4.0}),
-        (
-            "base",
-            {"kind": "shaking_table", "point": 1, "acceleration_per_volt_m_s2": 4.0, "responses": "absolute"},
-        ),
+        ("base", {"kind": "shaking_table", "point": 1, "acceleration_per_volt_m_s2": 4.0, "responses": "absolute"}),
     ],
 )
 def test_responses_without_a_level_are_over_what_they_were_divided_by(

@@ -172,10 +172,7 @@ def test_a_chain_about_an_effect_does_not_stand_in_for_it() -> None:
     imitated = replace(
         null,
         fit=replace(
-            null.fit,
-            prediction=cubic.fit.prediction,
-            errors=cubic.fit.errors,
-            log_evidence=cubic.fit.log_evidence,
+            null.fit, prediction=cubic.fit.prediction, errors=cubic.fit.errors, log_evidence=cubic.fit.log_evidence
         ),
     )
     assert needed(search.data, cubic, [imitated], wanted).stated == ()

@@ -145,11 +145,7 @@ def check(own: Any) -> None:
 
 @pytest.mark.parametrize(
     ("scatter", "late", "shuffled", "word"),
-    [
-        (0.0, 0.0, False, ""),
-        (0.0, 3.0, True, ""),
-        (0.25, 0.0, False, "interpolated at even times"),
-    ],
+    [(0.0, 0.0, False, ""), (0.0, 3.0, True, ""), (0.25, 0.0, False, "interpolated at even times")],
 )
 def test_an_imu_in_mcap(tmp_path: Path, scatter: float, late: float, shuffled: bool, word: str) -> None:
     bag = write(tmp_path / "imu", imu, "sensor_msgs/msg/Imu", scatter=scatter, late=late, shuffled=shuffled)

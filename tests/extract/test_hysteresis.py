@@ -105,20 +105,8 @@ def test_rigid_motion_is_refused():
     [
         {"excited_point": 1},
         {"excited_point": 1, "middle_point": 1, "free_point": 3, "excited_mass_kg": 1.0, "free_mass_kg": 1.0},
-        {
-            "excited_point": 1,
-            "middle_point": 2,
-            "free_point": 3,
-            "excited_mass_kg": -1.0,
-            "free_mass_kg": 1.0,
-        },
-        {
-            "excited_point": 1,
-            "middle_point": 2,
-            "free_point": 3,
-            "excited_mass_kg": 1.0,
-            "free_mass_kg": math.nan,
-        },
+        {"excited_point": 1, "middle_point": 2, "free_point": 3, "excited_mass_kg": -1.0, "free_mass_kg": 1.0},
+        {"excited_point": 1, "middle_point": 2, "free_point": 3, "excited_mass_kg": 1.0, "free_mass_kg": math.nan},
     ],
 )
 def test_malformed_layouts_are_refused(values):

@@ -41,10 +41,7 @@ def test_one_degree_of_freedom_at_resonance_gives_its_damping_exactly():
     force = 0.8
     response = force / (1j * damper * OMEGA)
     linear = linear_description(
-        np.array([[1.0 / math.sqrt(mass)]] * 1),
-        points=(2,),
-        frequencies_rad_s=(OMEGA,),
-        damping_ratios=(zeta,),
+        np.array([[1.0 / math.sqrt(mass)]] * 1), points=(2,), frequencies_rad_s=(OMEGA,), damping_ratios=(zeta,)
     )
     point = extract(pure(force, [response] * 4), LOCK, linear)
     assert point.status is PointStatus.OK

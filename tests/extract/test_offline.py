@@ -7,15 +7,7 @@ import math
 from dataclasses import asdict
 
 import pytest
-from extract.synthetic import (
-    FREQUENCY,
-    RATE,
-    SETTINGS,
-    Stream,
-    in_phase_case,
-    linear_description,
-    lock_event,
-)
+from extract.synthetic import FREQUENCY, RATE, SETTINGS, Stream, in_phase_case, linear_description, lock_event
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.records import LevelCommand, LoopStatus
@@ -163,8 +155,7 @@ def test_bags_that_lack_topics(make_bag, leave_out, sentence):
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"linear": "none"}, {"linear": {"source": "model"}}, {"extraction": []}, {"extraction": {"h": 1}}],
+    "change", [{"linear": "none"}, {"linear": {"source": "model"}}, {"extraction": []}, {"extraction": {"h": 1}}]
 )
 def test_malformed_run_records(make_bag, change):
     path = make_bag(run={**RUN, **change})

@@ -38,10 +38,7 @@ def test_noise_has_no_stable_pole():
 def diagram(*orders: list[tuple[float, float]]) -> list[OrderPoles]:
     return [
         OrderPoles(
-            number,
-            np.array([f for f, _ in poles]),
-            np.array([z for _, z in poles]),
-            np.zeros(len(poles), dtype=bool),
+            number, np.array([f for f, _ in poles]), np.array([z for _, z in poles]), np.zeros(len(poles), dtype=bool)
         )
         for number, poles in enumerate(orders, start=1)
     ]

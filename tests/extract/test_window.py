@@ -167,8 +167,7 @@ def altered_phase(blocks, **changes):
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
-    [({"cycles": 0.123}, "phase jumps"), ({"frequency_hz": 0.0}, "no periodic excitation")],
+    ("changes", "reason"), [({"cycles": 0.123}, "phase jumps"), ({"frequency_hz": 0.0}, "no periodic excitation")]
 )
 def test_excitation_that_is_not_continuous(stream, changes, reason):
     assembler = WindowAssembler(TOPICS, require_loop_state=False)
@@ -192,10 +191,7 @@ def test_a_swept_block_is_followed():
     time = np.arange(1001) / RATE
     cycles = start * time + 0.5 * rate * time**2
     force = [
-        replace(
-            b,
-            oscillator=OscillatorPhase(cycles[b.first_sample] % 1.0, start + rate * time[b.first_sample], rate),
-        )
+        replace(b, oscillator=OscillatorPhase(cycles[b.first_sample] % 1.0, start + rate * time[b.first_sample], rate))
         for b in stream.blocks("force")
     ]
     assembler = WindowAssembler(TOPICS, require_loop_state=False)

@@ -161,11 +161,7 @@ class MeasuringChain:
 
     @staticmethod
     def drawn(
-        seed: int,
-        gain: float = 0.01,
-        phase_deg: float = 0.2,
-        delay: float = 100e-6,
-        distortion: float = 1e-3,
+        seed: int, gain: float = 0.01, phase_deg: float = 0.2, delay: float = 100e-6, distortion: float = 1e-3
     ) -> MeasuringChain:
         """A healthy chain of ordinary tolerances.
 

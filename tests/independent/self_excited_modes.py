@@ -29,10 +29,7 @@ class SelfExcitedModel:
 def van_der_pol() -> SelfExcitedModel:
     """The rig ``van_der_pol``."""
     return SelfExcitedModel(
-        np.eye(1),
-        np.array([[-15.08]]),
-        np.array([[15791.4]]),
-        lambda x, v: 2.4128e6 * x**2 * v + 5.0e7 * x**3,
+        np.eye(1), np.array([[-15.08]]), np.array([[15791.4]]), lambda x, v: 2.4128e6 * x**2 * v + 5.0e7 * x**3
     )
 
 

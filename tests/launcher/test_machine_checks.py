@@ -95,22 +95,10 @@ def test_path_that_the_build_tools_do_not_bear(machine, monkeypatch, tmp_path, n
 @pytest.mark.parametrize(
     ("log", "sentence"),
     [
-        (
-            "ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device",
-            "disk is full",
-        ),
-        (
-            "WARNING: Retrying ... NewConnectionError('<pip...>: [Errno 111] Connection refused')",
-            "cannot be reached",
-        ),
-        (
-            "Temporary failure in name resolution\nERROR: No matching distribution found for x==1",
-            "cannot be reached",
-        ),
-        (
-            "ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE.",
-            "differs from the locked one",
-        ),
+        ("ERROR: Could not install packages due to an OSError: [Errno 28] No space left on device", "disk is full"),
+        ("WARNING: Retrying ... NewConnectionError('<pip...>: [Errno 111] Connection refused')", "cannot be reached"),
+        ("Temporary failure in name resolution\nERROR: No matching distribution found for x==1", "cannot be reached"),
+        ("ERROR: THESE PACKAGES DO NOT MATCH THE HASHES FROM THE REQUIREMENTS FILE.", "differs from the locked one"),
         ("ERROR: No matching distribution found for numpy==2.4.6", "does not offer a locked file"),
         ("CMake Error: No CMAKE_CXX_COMPILER could be found.", "compiler does not work"),
         ("error: ../msg/Level.msg:3: invalid type", "invalid type"),
@@ -153,10 +141,7 @@ def run_launcher(project, *arguments, **variables):
     """The launcher as a program of its own; what it says."""
     environment = {**os.environ, **variables}
     return subprocess.run(
-        [sys.executable, str(project.root / "nmt"), *arguments],
-        env=environment,
-        capture_output=True,
-        text=True,
+        [sys.executable, str(project.root / "nmt"), *arguments], env=environment, capture_output=True, text=True
     )
 
 

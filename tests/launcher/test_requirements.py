@@ -32,13 +32,7 @@ def direct(name: str) -> dict[str, str]:
 
 
 def test_every_supported_python_is_locked():
-    assert [p.stem for p in LOCKS] == [
-        "system-3.12",
-        "wheels-3.10",
-        "wheels-3.11",
-        "wheels-3.12",
-        "wheels-3.13",
-    ]
+    assert [p.stem for p in LOCKS] == ["system-3.12", "wheels-3.10", "wheels-3.11", "wheels-3.12", "wheels-3.13"]
 
 
 @pytest.mark.parametrize("lock", LOCKS, ids=lambda p: p.stem)
@@ -104,11 +98,7 @@ def make_distribution(site, name="pkg", record=None):
     metadata.mkdir(parents=True)
     (site / f"{name}.py").write_text("x = 1\n")
     (metadata / "INSTALLER").write_text("pip\n")
-    lines = [
-        f"{name}.py,sha256=abc,6",
-        f"__pycache__/{name}.cpython-311.pyc,,",
-        f"{name}-1.0.dist-info/INSTALLER,,4",
-    ]
+    lines = [f"{name}.py,sha256=abc,6", f"__pycache__/{name}.cpython-311.pyc,,", f"{name}-1.0.dist-info/INSTALLER,,4"]
     (metadata / "RECORD").write_text("\n".join([*(lines if record is None else record), ""]))
     return metadata
 

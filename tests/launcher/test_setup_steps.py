@@ -27,11 +27,7 @@ def test_first_use_does_every_step_and_the_second_none(project):
 
 @pytest.mark.parametrize(
     ("failing", "first", "second"),
-    [
-        ("venv", ["venv"], FIRST),
-        ("pip", FIRST[:2], FIRST[1:]),
-        ("colcon", FIRST, FIRST[3:]),
-    ],
+    [("venv", ["venv"], FIRST), ("pip", FIRST[:2], FIRST[1:]), ("colcon", FIRST, FIRST[3:])],
 )
 def test_interrupted_set_up_goes_on_where_it_stopped(project, failing, first, second):
     marker = project.write("fail-at-" + failing, "")

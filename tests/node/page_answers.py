@@ -338,7 +338,7 @@ DIFFERING_ROBOT = {
     "./nmt diagnose --model examples/robot/arm.xml --real examples/robot/log.npz --out out/robot": Answer(
         prints=(r"shoulder +nothing: as in the model", r"elbow +Coulomb friction 1\.4\d* ± 0\.0\d+ N·m \(model 0\.5\)"),
         before=examples_at_hand,
-    ),
+    )
 }
 
 ANSWERS: dict[str, dict[str, Answer]] = {
@@ -364,12 +364,9 @@ ANSWERS: dict[str, dict[str, Answer]] = {
         ),
     },
     "docs/start/ros.md": {
-        "./nmt ros nmt_plant plant --ros-args -p rig_file:=beam": Answer(tested_by="node/test_plant_node.py"),
+        "./nmt ros nmt_plant plant --ros-args -p rig_file:=beam": Answer(tested_by="node/test_plant_node.py")
     },
-    "docs/start/developer.md": {
-        "./nmt setup": Answer(not_run=DEVELOPER),
-        "./nmt test": Answer(not_run=DEVELOPER),
-    },
+    "docs/start/developer.md": {"./nmt setup": Answer(not_run=DEVELOPER), "./nmt test": Answer(not_run=DEVELOPER)},
     "docs/tutorial.md": {
         "./nmt demo": Answer(prints=(every_level(10),), table=True),
         "./nmt run beam --levels 0.2:0.5:4 --periods 60 --out out/onset": Answer(prints=(every_level(4),)),
@@ -435,10 +432,7 @@ ANSWERS: dict[str, dict[str, Answer]] = {
         ),
         "./nmt run beam --pacing realtime --out out/stopped": Answer(tested_by="node/test_signals.py"),
     },
-    "CONTRIBUTING.md": {
-        "./nmt setup": Answer(not_run=DEVELOPER),
-        "./nmt test": Answer(not_run=DEVELOPER),
-    },
+    "CONTRIBUTING.md": {"./nmt setup": Answer(not_run=DEVELOPER), "./nmt test": Answer(not_run=DEVELOPER)},
     "docs/explanation/blind-check.md": {
         "./nmt blind make  --rig beam --cases 400 --seed 1001 --sealed --out check": Answer(
             tested_by="blind/test_small_sealed_campaign.py"
@@ -453,15 +447,13 @@ ANSWERS: dict[str, dict[str, Answer]] = {
         "./nmt blind laboratory two --out answers": Answer(tested_by="blind/test_foreign_laboratory.py"),
     },
     "docs/how-to/add-a-kind-of-test.md": {
-        "./nmt test tests/core tests/pll tests/matrix tests/session/test_kinds_of_test.py": Answer(not_run=DEVELOPER),
+        "./nmt test tests/core tests/pll tests/matrix tests/session/test_kinds_of_test.py": Answer(not_run=DEVELOPER)
     },
     "docs/how-to/add-a-local-element.md": {
         "./nmt test tests/rig tests/diagnose/test_registry_of_forces.py tests/diagnose/test_predicted_effects.py "
-        "tests/docs": Answer(not_run=DEVELOPER),
+        "tests/docs": Answer(not_run=DEVELOPER)
     },
-    "docs/how-to/add-a-measured-quantity.md": {
-        "./nmt test tests/extract tests/core": Answer(not_run=DEVELOPER),
-    },
+    "docs/how-to/add-a-measured-quantity.md": {"./nmt test tests/extract tests/core": Answer(not_run=DEVELOPER)},
     "docs/how-to/bring-your-converter.md": {
         "./nmt check laboratory.yaml": Answer(tested_by="node/test_custom_converter.py"),
         "./nmt run laboratory.yaml --out out/test": Answer(tested_by="node/test_custom_converter.py"),
@@ -507,7 +499,7 @@ ANSWERS: dict[str, dict[str, Answer]] = {
     "docs/how-to/finite-element-model.md": {
         "./nmt rigs --check strip.npz --units mm-t-N": Answer(
             tested_by="rig/test_finite_element_page.py::test_the_page_makes_a_rig_of_a_strip"
-        ),
+        )
     },
     "docs/how-to/impact-hammer.md": {
         "./nmt import tap.yaml --out tap": Answer(
@@ -548,7 +540,7 @@ ANSWERS: dict[str, dict[str, Answer]] = {
         "./nmt run joint_resonator --linear linear/linear.json --out run": Answer(prints=(every_level(16),)),
     },
     "docs/how-to/live-page.md": {
-        "./nmt run beam --page --pacing realtime --out out/beam": Answer(tested_by="node/test_live_page.py"),
+        "./nmt run beam --page --pacing realtime --out out/beam": Answer(tested_by="node/test_live_page.py")
     },
     "docs/how-to/many-machines.md": {
         "./nmt study noise --scheduler tcp://HOST:8786 --out out/noise": Answer(
@@ -679,7 +671,7 @@ ANSWERS: dict[str, dict[str, Answer]] = {
         ),
     },
     "docs/reference/commands.md": {
-        "./nmt figures out/demo --format pdf --width 85mm": Answer(not_run="README has the same on a run of its own"),
+        "./nmt figures out/demo --format pdf --width 85mm": Answer(not_run="README has the same on a run of its own")
     },
     "docs/reference/parameters.md": {
         "./nmt params beam --out out/params": Answer(tested_by="bench/test_params_command.py"),

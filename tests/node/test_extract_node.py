@@ -44,11 +44,7 @@ KINDS = {
     "level": Level,
 }
 SAMPLES = round(5 * RATE / FREQUENCY)
-VALUES = {
-    "linear_json": linear_description().to_json(),
-    "topics": ["force", "displacement"],
-    "rig": "beam",
-}
+VALUES = {"linear_json": linear_description().to_json(), "topics": ["force", "displacement"], "rig": "beam"}
 
 
 class Rig(Node):
@@ -133,10 +129,7 @@ def recording():
     force, shape = in_phase_case()
     stream = Stream([0, force, 0.1 * force], [[0, x, 0, 0.01 * x] for x in shape], samples=10_000, noise=0.01)
     levels = {0: 0, 19: 1, 38: 2}
-    locks = {
-        2: lock_event(600, SAMPLES, 5, sample=599),
-        22: lock_event(4600, SAMPLES, 5, sample=4599, level_index=1),
-    }
+    locks = {2: lock_event(600, SAMPLES, 5, sample=599), 22: lock_event(4600, SAMPLES, 5, sample=4599, level_index=1)}
     lost = {30: 1, 45: 2}
     level, state = 0, LoopState.FIXED
     messages = []

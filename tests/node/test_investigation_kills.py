@@ -22,12 +22,7 @@ from nmt_core.errors import BenchError
 from nmt_core.kinds import RandomTest
 from nmt_core.kinds.request import TestRequest
 from nmt_diagnose.investigation.investigation import Investigation, InvestigationSettings
-from nmt_diagnose.investigation.investigation_record import (
-    AskedTest,
-    EmptyTestError,
-    InvestigationRecord,
-    read_record,
-)
+from nmt_diagnose.investigation.investigation_record import AskedTest, EmptyTestError, InvestigationRecord, read_record
 from nmt_diagnose.ledger.diagnosis import Ranked, Share, Verdict
 from nmt_record.bag.bag_reader import Bag
 from nmt_session.node_plan import NODES

@@ -19,10 +19,7 @@ from nmt_study.case_reference import single_point_at
 
 @pytest.mark.parametrize(
     ("control", "unit", "levels"),
-    [
-        pytest.param("response", "m", (5e-5, 2e-4), marks=pytest.mark.campaign),
-        ("force", "N", (0.05, 1.0)),
-    ],
+    [pytest.param("response", "m", (5e-5, 2e-4), marks=pytest.mark.campaign), ("force", "N", (0.05, 1.0))],
 )
 def test_a_level_is_held_and_gives_the_same_backbone(control, unit, levels):
     with Bench("beam", levels=levels, control=control, window_periods=30) as bench:

@@ -172,11 +172,7 @@ def test_a_run_is_recorded_and_the_bag_closes_by_itself(stage):
         for block in blocks:
             sent = make_block(topic, block.first_sample)
             np.testing.assert_array_equal(block.data, sent.data)
-            assert (block.channels, block.points, block.oscillator) == (
-                sent.channels,
-                sent.points,
-                sent.oscillator,
-            )
+            assert (block.channels, block.points, block.oscillator) == (sent.channels, sent.points, sent.oscillator)
     (event,) = bag.lock_events()
     assert (event.level_index, event.window_first_sample) == (2, 320)
     assert bag.topics["drive"] == ("nmt_msgs/msg/Drive", 30)
@@ -527,11 +523,7 @@ def test_wrong_parameters_are_refused_and_leave_nothing(stage, values, sentence)
 def test_the_executable_under_signals(stage, number, whole):
     process = subprocess.Popen(
         [
-            *(
-                sys.executable,
-                "-c",
-                "import sys; from nmt_record.bag.recorder_node import main; sys.exit(main())",
-            ),
+            *(sys.executable, "-c", "import sys; from nmt_record.bag.recorder_node import main; sys.exit(main())"),
             *("--ros-args", "-p", f"output:={stage.path}"),
         ],
         env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)},

@@ -9,14 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from core.message_records import (
-    READ,
-    RECORDS,
-    WRITE,
-    blocks,
-    same,
-    values_of,
-)
+from core.message_records import READ, RECORDS, WRITE, blocks, same, values_of
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from hypothesis import given, settings
 from hypothesis import strategies as st

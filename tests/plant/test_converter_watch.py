@@ -71,9 +71,7 @@ def test_another_frequency_begins_anew():
         frequency, late = (22.0, 0.0) if n < 100 else (30.0, 5.0)
         at = np.arange(n * BLOCK, (n + 1) * BLOCK)
         watch.add(
-            np.cos(2 * np.pi * frequency * at / RATE),
-            np.cos(2 * np.pi * frequency * (at - late) / RATE),
-            frequency,
+            np.cos(2 * np.pi * frequency * at / RATE), np.cos(2 * np.pi * frequency * (at - late) / RATE), frequency
         )
     assert watch.sentence == ""
 

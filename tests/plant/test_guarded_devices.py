@@ -71,14 +71,7 @@ def sine(frequency: float, amplitude: float, ramp: float = 0.0, **more: object) 
         ),
         (sine(22.0, 51.0), "drive amplitude 51 V is beyond the voltage limit"),
         (
-            sine(
-                22.0,
-                9.9,
-                terms=(
-                    DriveTerm(1, 2, 20j, False),
-                    DriveTerm(1, 3, 21.0 + 0j, False),
-                ),
-            ),
+            sine(22.0, 9.9, terms=(DriveTerm(1, 2, 20j, False), DriveTerm(1, 3, 21.0 + 0j, False))),
             "with its harmonics 50.9 V",
         ),
         (
@@ -273,10 +266,7 @@ def test_warnings_and_margins_are_reported_without_a_trip() -> None:
 
 @pytest.mark.parametrize(
     "make",
-    [
-        lambda: beam("watchdog.blocks=5", "watchdog.ramp_s=0.04"),
-        lambda: loopback(watchdog_blocks=5, quiet_ramp=0.04),
-    ],
+    [lambda: beam("watchdog.blocks=5", "watchdog.ramp_s=0.04"), lambda: loopback(watchdog_blocks=5, quiet_ramp=0.04)],
 )
 def test_the_watchdog_acts_at_its_sample(make) -> None:
     """Five blocks without a command: the fifth is flagged, the first sample of the sixth begins the ramp."""

@@ -77,26 +77,10 @@ def test_no_slow_ramp_to_zero_keeps_a_fast_one_waiting():
 
 def test_harmonics_that_change_do_so_along_a_half_cosine_of_one_block():
     oscillator = Oscillator(RATE)
-    oscillator.apply(
-        sine(
-            50.0,
-            1.0,
-            terms=(
-                DriveTerm(1, 3, 0.5j, False),
-                DriveTerm(1, 5, 0.2, False),
-            ),
-        )
-    )
+    oscillator.apply(sine(50.0, 1.0, terms=(DriveTerm(1, 3, 0.5j, False), DriveTerm(1, 5, 0.2, False))))
     oscillator.block(200)
     oscillator.apply(
-        sine(
-            50.0,
-            1.0,
-            terms=(
-                DriveTerm(1, 3, -0.3, False),
-                DriveTerm(1, 4, 0.1j, False),
-            ),
-        )
+        sine(50.0, 1.0, terms=(DriveTerm(1, 3, -0.3, False), DriveTerm(1, 4, 0.1j, False)))
     )  # the fifth is no longer asked for
     assert oscillator.bound(200) >= 1.0 + 0.5 + 0.2 + 0.1
     blocks = [oscillator.block(200) for _ in range(2)]

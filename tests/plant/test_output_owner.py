@@ -57,10 +57,7 @@ class Bench:
     """An owner whose converter belongs to the test."""
 
     def __init__(
-        self,
-        settings: OwnerSettings = SETTINGS,
-        stop_input: int | None = None,
-        converter: TestConverter | None = None,
+        self, settings: OwnerSettings = SETTINGS, stop_input: int | None = None, converter: TestConverter | None = None
     ) -> None:
         self.settings = settings
         self.channel, self._theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -447,14 +444,7 @@ def test_flood_of_random_messages_keeps_the_limit(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [
-        {"block_samples": 0},
-        {"lead_blocks": 0},
-        {"lead_blocks": 999},
-        {"deadline": 0.0},
-        {"outputs": 0},
-    ],
+    "wrong", [{"block_samples": 0}, {"lead_blocks": 0}, {"lead_blocks": 999}, {"deadline": 0.0}, {"outputs": 0}]
 )
 def test_settings_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(BenchError, match="output owner"):

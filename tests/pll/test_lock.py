@@ -217,12 +217,7 @@ ALLOWED = {
     "lock": {LoopState.ACQUIRING},
     "lose": {LoopState.ACQUIRING, LoopState.LOCKED},
 }
-TARGET = {
-    "fix": LoopState.FIXED,
-    "acquire": LoopState.ACQUIRING,
-    "lock": LoopState.LOCKED,
-    "lose": LoopState.LOCK_LOST,
-}
+TARGET = {"fix": LoopState.FIXED, "acquire": LoopState.ACQUIRING, "lock": LoopState.LOCKED, "lose": LoopState.LOCK_LOST}
 
 
 def reach(state: LoopState) -> LockStateMachine:

@@ -33,8 +33,7 @@ def make_block(store: DefinitionStore) -> Callable[..., bytes]:
         seconds, rest = divmod(first_sample, 10_000)
         message = types[SAMPLE_BLOCK](
             header=types["std_msgs/msg/Header"](
-                stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest * 100_000),
-                frame_id=frame,
+                stamp=types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest * 100_000), frame_id=frame
             ),
             first_sample=first_sample,
             sample_rate=10_000.0,

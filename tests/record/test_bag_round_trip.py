@@ -99,11 +99,7 @@ def test_rosbags_reads_the_folder(every_type, store):
             QosDurability.VOLATILE,
         )
         (qos,) = topics["/run_state"].ext.offered_qos_profiles
-        assert (qos.history, qos.depth, qos.durability) == (
-            QosHistory.KEEP_LAST,
-            1,
-            QosDurability.TRANSIENT_LOCAL,
-        )
+        assert (qos.history, qos.depth, qos.durability) == (QosHistory.KEEP_LAST, 1, QosDurability.TRANSIENT_LOCAL)
 
 
 def test_mcap_reads_the_file_with_its_commented_definitions(every_type):
@@ -199,12 +195,7 @@ def test_blocks_are_those_written(make_bag):
     assert [block.first_sample for block in blocks] == list(range(0, 600, 20))
     block = blocks[7]
     assert block.quantity is Quantity.DISPLACEMENT
-    assert (block.unit, block.channels, block.points, block.sample_rate) == (
-        "m",
-        ("x1", "x2"),
-        (1, 2),
-        10_000.0,
-    )
+    assert (block.unit, block.channels, block.points, block.sample_rate) == ("m", ("x1", "x2"), (1, 2), 10_000.0)
     assert block.data.flags.aligned
     np.testing.assert_array_equal(block.data.ravel(), np.random.default_rng(140).standard_normal(40))
     cut = [block.first_sample for block in bag.blocks("displacement", first_sample=119, stop_sample=161)]

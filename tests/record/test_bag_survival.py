@@ -24,9 +24,7 @@ from nmt_record.bag.bag_writer import Storage, open_unbuffered
 from nmt_record.bag.bench_topics import SAMPLE_BLOCK
 
 SETTINGS = settings(
-    max_examples=25,
-    deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
 )
 
 

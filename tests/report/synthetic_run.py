@@ -111,11 +111,7 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
     centre = history.sample.astype(float) - BLOCK / 2
     envelopes = [
         SignalEnvelope(name, symbol, unit, centre, -factor * history.drive_amplitude, factor * history.drive_amplitude)
-        for name, symbol, unit, factor in (
-            ("u", "$u$", "V", 1.0),
-            ("f2", "$F$", "N", 2.2),
-            ("x2", "$x_2$", "m", 4e-4),
-        )
+        for name, symbol, unit, factor in (("u", "$u$", "V", 1.0), ("f2", "$F$", "N", 2.2), ("x2", "$x_2$", "m", 4e-4))
     ]
     curve = np.geomspace(1e-5, 5e-3, 120)
     return RunReportData(
@@ -140,10 +136,7 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
                 "The phase-locked loop's block diagram is missing in the paper; an adaptive filter is used.",
             ],
         },
-        stop={
-            "exit": {"state": "done", "reason": "every level was worked through"},
-            "counts": {"force": len(samples)},
-        },
+        stop={"exit": {"state": "done", "reason": "every level was worked through"}, "counts": {"force": len(samples)}},
         linear=LINEAR,
         history=history,
         envelopes=envelopes,
@@ -151,10 +144,7 @@ def synthetic_run(levels: int = 10, failed: int | None = 6, reference: bool = Tr
         levels=starts,
         locks=locks,
         reference=ReferenceCurve(
-            "EPMC reference",
-            curve,
-            np.array([omega_of(q) for q in curve]),
-            np.array([damping_of(q) for q in curve]),
+            "EPMC reference", curve, np.array([omega_of(q) for q in curve]), np.array([damping_of(q) for q in curve])
         )
         if reference
         else None,

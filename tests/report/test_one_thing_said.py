@@ -13,17 +13,7 @@ import pytest
 from rich.console import Console
 
 from nmt_diagnose.effects.location import Cause, Explanation, Location
-from nmt_diagnose.ledger.diagnosis import (
-    NULL,
-    UNKNOWN,
-    Diagnosis,
-    Gap,
-    PlaceShare,
-    Ranked,
-    Share,
-    Value,
-    Verdict,
-)
+from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, PlaceShare, Ranked, Share, Value, Verdict
 from nmt_diagnose.ledger.size import Objection
 from nmt_diagnose.say.sentences import sentences
 from nmt_diagnose.say.words import verdict_text

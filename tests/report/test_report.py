@@ -200,16 +200,7 @@ def test_few_and_many_levels(levels: int, failed: int | None) -> None:
 def test_sparse_data() -> None:
     data = synthetic_run(levels=3, failed=None, reference=False)
     bare = replace(
-        data,
-        run={},
-        rig={},
-        stop={},
-        linear=None,
-        history=None,
-        envelopes=(),
-        excerpts=(),
-        levels=(),
-        locks=(),
+        data, run={}, rig={}, stop={}, linear=None, history=None, envelopes=(), excerpts=(), levels=(), locks=()
     )
     page = Page(report_html(bare))
     assert "backbone" in page.ids

@@ -79,13 +79,7 @@ CASES = {
     "bouc_wen": (
         bouc_wen,
         1,
-        {
-            "stiffness_n_m": 9000.0,
-            "yield_displacement_m": 3e-4,
-            "exponent": 2.0,
-            "post_yield_ratio": 0.1,
-            "shape": 0.7,
-        },
+        {"stiffness_n_m": 9000.0, "yield_displacement_m": 3e-4, "exponent": 2.0, "post_yield_ratio": 0.1, "shape": 0.7},
         2e-4,
     ),
     "lugre": (
@@ -160,10 +154,7 @@ def _end(attachment, substeps, rate=2000.0):
 
 @pytest.mark.parametrize(
     "attachment",
-    [
-        BoucWen(np.array([1.0]), 9000.0, 3e-4, 2.0, 0.1, 0.7),
-        LuGre(np.array([1.0]), 2e4, 3.0, 1.0, 1.0, 1.5, 0.05),
-    ],
+    [BoucWen(np.array([1.0]), 9000.0, 3e-4, 2.0, 0.1, 0.7), LuGre(np.array([1.0]), 2e4, 3.0, 1.0, 1.0, 1.5, 0.05)],
     ids=["bouc_wen", "lugre"],
 )
 def test_friction_with_a_state_converges_with_second_order(attachment):

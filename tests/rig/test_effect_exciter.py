@@ -214,10 +214,7 @@ def test_what_harmonic_balance_does_not_cover_is_refused(override):
         ("structure.loss_factor=0.01", True),
         ("drift.stiffness_per_s=1e-5", False),
         ("local_elements=[{kind: eddy_brake, point: 2, damping_ns_m: 1, critical_velocity_m_s: 1}]", True),
-        (
-            "local_elements=[{kind: backlash_damper, point: 2, stiffness_n_m: 1, damping_ns_m2: 1, gap_m: 1e-4}]",
-            False,
-        ),
+        ("local_elements=[{kind: backlash_damper, point: 2, stiffness_n_m: 1, damping_ns_m2: 1, gap_m: 1e-4}]", False),
         ("local_elements=[{kind: fractional_damper, point: 2, coefficient_n_sa_m: 1}]", False),
     ],
 )

@@ -54,11 +54,7 @@ def one(kind, *parameters):
 
 def test_linear_steady_state_is_the_frequency_response(linear_system):
     frequency = 2 * np.pi * 25.0
-    outputs = [
-        displacement_output(linear_system, 2),
-        linear_system.force,
-        acceleration_output(linear_system, 6),
-    ]
+    outputs = [displacement_output(linear_system, 2), linear_system.force, acceleration_output(linear_system, 6)]
     integrator = TimeIntegrator(linear_system, RATE, outputs)
     y = integrator.advance(np.cos(frequency * np.arange(40_001) / RATE))[:, -4000:]
     kernel = 2 / 4000 * np.exp(-1j * frequency * np.arange(36_000, 40_000) / RATE)

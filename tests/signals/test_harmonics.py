@@ -51,10 +51,7 @@ def test_recovers_harmonics_without_whole_samples_or_periods(seed, harmonics, sa
     np.testing.assert_allclose(harmonic_amplitudes(cycles, data, harmonics), amplitudes, atol=1e-11)
 
 
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    frequencies=st.lists(st.floats(15.0, 30.0), min_size=20, max_size=40),
-)
+@given(seed=st.integers(0, 2**32 - 1), frequencies=st.lists(st.floats(15.0, 30.0), min_size=20, max_size=40))
 @settings(max_examples=30, deadline=None)
 def test_exact_when_the_frequency_jumps_between_blocks(seed, frequencies):
     steps = np.repeat(frequencies, 150) / 10_000.0

@@ -11,12 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_rig.reference import compute_reference, single_point_reference
 from nmt_rig.rig import load_rig
 from nmt_study.case import JOINT_KEY, StudyCase
-from nmt_study.case_reference import (
-    epmc_at,
-    fold_intervals,
-    levels_for_amplitudes,
-    single_point_at,
-)
+from nmt_study.case_reference import epmc_at, fold_intervals, levels_for_amplitudes, single_point_at
 
 
 @pytest.mark.parametrize("point", [2, 6])

@@ -15,15 +15,7 @@ from nmt_core.errors import BenchError
 from nmt_core.vocabulary import PointStatus
 from nmt_report.svg import figure_style
 from nmt_rig.rig import load_rig
-from nmt_study import (
-    STUDIES,
-    bench_time,
-    exciter_location,
-    joint_stiffness,
-    levels,
-    linear_modes,
-    noise,
-)
+from nmt_study import STUDIES, bench_time, exciter_location, joint_stiffness, levels, linear_modes, noise
 from nmt_study.study_report import _verdict, index_page, study_page
 from nmt_study.study_runner import load_study
 from nmt_study.study_table import level_rows, summary_row

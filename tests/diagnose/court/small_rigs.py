@@ -40,10 +40,7 @@ def chain_rig() -> Rig:
         "dampers_ns_m": list(DAMPERS),
         "ground_dampers_ns_m": list(DAMPERS_TO_GROUND),
     }
-    sensors = [
-        {"quantity": "force", "point": "drive"},
-        *({"quantity": "acceleration", "point": p} for p in (1, 2, 3)),
-    ]
+    sensors = [{"quantity": "force", "point": "drive"}, *({"quantity": "acceleration", "point": p} for p in (1, 2, 3))]
     values = {
         "name": "three",
         "structure": structure,

@@ -24,13 +24,7 @@ from nmt_rig.model.local_elements.dampers import (
 )
 from nmt_rig.model.local_elements.element import LocalElement
 from nmt_rig.model.local_elements.friction import AnyFriction, Jenkins, StribeckBelt, TanhFriction, WeakeningFriction
-from nmt_rig.model.local_elements.springs import (
-    AnySpring,
-    CubicSpring,
-    LinearSpring,
-    QuadraticSpring,
-    QuinticSpring,
-)
+from nmt_rig.model.local_elements.springs import AnySpring, CubicSpring, LinearSpring, QuadraticSpring, QuinticSpring
 
 D = np.array([1.0])
 OMEGA = 3.0

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from nmt_core.errors import BenchError
-from nmt_rig.model.continuation import (
-    Branch,
-    NotConvergedError,
-    StepControl,
-    follow_branch,
-    solve_at_parameter,
-)
+from nmt_rig.model.continuation import Branch, NotConvergedError, StepControl, follow_branch, solve_at_parameter
 
 
 def cubic(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -87,11 +87,7 @@ def test_jacobians(beam, joint, shaker, finite_differences) -> None:
     rng = np.random.default_rng(1)
     linear = problem.linear_start(139.4)
     local = linear + 0.05 * rng.normal(size=linear.size)
-    quadrature, drive, force = (
-        _Quadrature(problem),
-        _DriveHeld(problem, 0.0, 30.0),
-        _ForceHeld(problem, 1.0, 30.0),
-    )
+    quadrature, drive, force = (_Quadrature(problem), _DriveHeld(problem, 0.0, 30.0), _ForceHeld(problem, 1.0, 30.0))
     assert finite_differences(quadrature, np.concatenate((local, [1.01, 0.0]))) < 1e-7
     assert finite_differences(drive, np.append(local, 139.0 / 30.0)) < 1e-7
     assert finite_differences(force, np.concatenate((local, [0.3, 139.0 / 30.0]))) < 1e-7

@@ -25,10 +25,7 @@ def without_ports(size: int) -> Ports:
         ("beam", []),
         ("beam", ["structure.elements=28"]),
         ("beam", ["exciter.point=2", "structure.elements=28"]),
-        (
-            "beam",
-            ["structure.elements=28", "local_elements=[{kind: linear_damper, point: 9, damping_ns_m: 0.3}]"],
-        ),
+        ("beam", ["structure.elements=28", "local_elements=[{kind: linear_damper, point: 9, damping_ns_m: 0.3}]"]),
     ],
 )
 @pytest.mark.parametrize(("excitation", "shift", "mode"), [(0.0, 0j, -1), (2.5, 3e4 + 2e3j, 2)])

@@ -11,12 +11,7 @@ from nmt_rig.model.epmc import epmc_backbone
 from nmt_rig.model.forced_response import ForcedProblem
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.model.linear_modes import sticking_modes
-from nmt_rig.model.phase_resonance import (
-    estimated_mass,
-    extract_mode,
-    linear_phase_resonance,
-    phase_resonant_backbone,
-)
+from nmt_rig.model.phase_resonance import estimated_mass, extract_mode, linear_phase_resonance, phase_resonant_backbone
 
 BASIS = FourierBasis.up_to(7)
 SENSORS = (2, 4, 5, 6)
@@ -39,11 +34,7 @@ def tested(beam, joint, shaker, modes, shapes):
     for point in (2, 4):
         problem = ForcedProblem(assemble(beam, joint, point, shaker), BASIS, float(modes.frequencies[0]))
         backbone = phase_resonant_backbone(problem, np.geomspace(0.05, 12.0, 25))
-        result[point] = (
-            problem,
-            backbone,
-            extract_mode(problem, backbone.responses, SENSORS, shapes, beam.mass),
-        )
+        result[point] = (problem, backbone, extract_mode(problem, backbone.responses, SENSORS, shapes, beam.mass))
     return result
 
 

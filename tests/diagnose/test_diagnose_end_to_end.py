@@ -79,7 +79,7 @@ def test_an_effect_is_named_placed_sized_and_closes_the_gap(hardening: Diagnosis
     assert found.gap.low <= found.gap.closed <= found.gap.high
     assert len(hardening.model.local_elements) == len(MODEL.local_elements) + 1
     assert "cubic stiffness at point 2" in found.sentences[1]
-    assert "closes" in found.sentences[2]
+    assert "removes" in found.sentences[2]
 
 
 def test_a_withheld_effect_is_unknown_and_changes_no_physics() -> None:

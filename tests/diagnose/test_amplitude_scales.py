@@ -21,6 +21,7 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record import DrivenRecord
 from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.measurements.random_responses import RandomResponses
 from nmt_diagnose.measurements.recorded_decay import RecordedDecay
@@ -32,8 +33,11 @@ from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range
 from nmt_record.exchange.reduced.observables import ObservableTable
 from nmt_record.exchange.sidecar.import_sidecar import TableKind
-from nmt_rig.rig import Rig, validate_rig
+from nmt_rig.model.assembly import displacement_output
+from nmt_rig.model.time_integration import TimeIntegrator
+from nmt_rig.rig import ForceSection, Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
+from nmt_rig.rig_model import build_structure, build_system
 
 HZ, RATIO = 133.0, 0.0035
 OMEGA = 2.0 * pi * HZ
@@ -264,3 +268,29 @@ def test_damping_ratios_without_uncertainties_count_by_their_scatter() -> None:
         shares[scatter] = np.array(found)
     np.testing.assert_allclose(shares[0.01], 0.05)
     assert np.sqrt(np.mean(shares[0.15] ** 2)) == pytest.approx(0.15, rel=0.1)
+
+
+def test_the_scale_of_a_record_is_its_largest_motion_and_the_largest_way_between_points() -> None:
+    """Two masses under a chirp, by the bench's own time integration; and as measured, far from the model."""
+    rig = chain()
+    time = np.arange(20000) / 2e3
+    force = np.sin(2.0 * pi * (45.0 + time) * time)
+    free = rig.model_copy(update={"exciter": ForceSection(kind="force", point=1)})
+    system = build_system(free, build_structure(free))
+    outputs = [displacement_output(system, point) for point in (1, 2)]
+    moved = TimeIntegrator(system, 2e3, outputs, substeps=8).advance(np.append(force, force[-1]))[:, : time.size]
+    far = np.abs(moved[0] - moved[1]).max()
+    assert far > 2.0 * abs(np.abs(moved[0]).max() - np.abs(moved[1]).max())
+    channels = (MeasuredChannel("x1", Quantity.DISPLACEMENT, 1), MeasuredChannel("a2", Quantity.ACCELERATION, 2))
+    test = DrivenRecord(
+        "record", 1, 2e3, MeasuredChannel("f1", Quantity.FORCE, 1), force, channels, np.array([0.0, time.size])
+    )
+    found = operating_range(rig, [test])
+    assert [found.displacement[point] for point in (1, 2)] == pytest.approx(np.abs(moved).max(axis=1), rel=0.02)
+    assert found.pairs[1, 2][0] == pytest.approx(far, rel=0.02)
+    assert found.channels_low["x1"] == found.channels["x1"] == pytest.approx(np.abs(moved[0]).max(), rel=0.02)
+    sizes = np.array([found.channels["x1"], found.channels["a2"]])
+    for factor, taken in ((5.0, 5.0), (1.5, 1.0)):
+        measured = replace(test, responses=factor * sizes[:, np.newaxis] * np.sin(2.0 * pi * time))
+        again = operating_range(rig, [measured])
+        assert again.displacement[2] == pytest.approx(taken * found.displacement[2], rel=1e-3)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +17,14 @@ from nmt_bench.data_import import import_data
 from nmt_diagnose.diagnose import diagnose_bags, diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.effects.location import Cause, Explanation, Location
 from nmt_diagnose.law.reading import refitted_laws
+from nmt_diagnose.ledger.comparison import IMITATION, Comparison, EquivalentClass
 from nmt_diagnose.ledger.diagnosis import PlaceShare, Verdict
+from nmt_diagnose.ledger.gap import ClosedShare
+from nmt_diagnose.ledger.judgement import Judgement
+from nmt_diagnose.ledger.row import Facts
+from nmt_diagnose.ledger.size import Objection
 from nmt_diagnose.say.law_sentences import led_by_law
 from nmt_diagnose.say.words import verdict_text
 from nmt_laboratories.headline_campaign import CASES, model_of, structure_of, write_levels
@@ -48,14 +55,44 @@ def test_of_too_few_levels_no_strengths_are_told() -> None:
     assert refitted_laws(chain_of_masses(), few, found) is None
 
 
+REMAINS, MOVED = Objection("samples", "response", 0.05), Objection("masses_kg.0", "", 6.0)
+BOTH = (("structure", 3), ("structure", 2))
+
+
+@pytest.mark.parametrize("of_record", [False, True])
 @pytest.mark.parametrize(
-    ("by_file", "of_record", "expected"),
-    [(0.91, False, True), (0.89, False, False), (math.nan, False, True), (0.89, True, True)],
+    ("against", "places", "by_file", "at_least", "leads"),
+    [
+        ((REMAINS,), BOTH[:1], 0.91, 0.8, True),
+        ((REMAINS,), BOTH[:1], 0.89, 0.8, False),
+        ((MOVED,), BOTH[:1], 0.50, 0.4, True),
+        ((MOVED,), BOTH[:1], 0.40, 0.3, False),
+        ((IMITATION,), BOTH, 0.96, 0.94, False),
+        ((IMITATION,), BOTH, 0.99, 0.98, True),
+        ((IMITATION,), (BOTH[0], BOTH[0]), 0.91, 0.8, True),
+        ((REMAINS,), BOTH[:1], math.nan, math.nan, True),
+        ((REMAINS,), BOTH[:1], -0.1, -0.2, False),
+    ],
 )
-def test_a_law_closes_as_much_as_what_is_certain(by_file: float, of_record: bool, expected: bool) -> None:
-    """By its file where that is known; else by levels that were left out, which close more than 0.95."""
-    found = replace(reading(CUBIC), closed_by_file=by_file, of_record=of_record, closed_above=0.96)
-    assert found.closes_as_much_as(0.95, 0.9) is expected
+def test_law_and_nearest_explanation_have_one_measure(
+    against: tuple[Objection, ...], places: tuple[tuple[str, int], ...], by_file: float, at_least: float, leads: bool,
+    of_record: bool,
+) -> None:  # fmt: skip
+    """The explanation closes 0.95, between 0.9 and 0.97; of a law whose file is not known, levels left out count."""
+    law = replace(
+        reading(CUBIC), closed_by_file=by_file, closed_at_least=at_least, of_record=of_record, closed_inside=0.96,
+        closed_above=0.96,
+    )  # fmt: skip
+    causes = tuple(Cause("cubic_stiffness", Location.at("structure", point)) for _, point in places)
+    head = SimpleNamespace(explanation=Explanation(causes))
+    nearest = EquivalentClass((head,), 0.3, 1.0, against)  # type: ignore[arg-type]
+    findings = SimpleNamespace(inadequate=(), factors=(), law=law)
+    comparison = Comparison(0.0, 0.7, (nearest,), {}, 99.0, {})
+    shares = {head.explanation: ClosedShare(9.0, 1.0, 1.0, 0.95, 0.9, 0.97)}
+    found = Judgement(findings, comparison, shares, Facts(), Verdict.UNKNOWN)  # type: ignore[arg-type]
+    assert found.law_leads is leads
+    assert found.law_is_written is not (by_file < 0.0)
+    assert replace(found, verdict=Verdict.EFFECT).law_is_written is leads
 
 
 @pytest.mark.parametrize(("detail", "kept"), [("3", True), ("2 + 3", True), ("2-3", False), ("a3", False)])

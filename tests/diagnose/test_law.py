@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,11 +15,13 @@ from scipy.optimize import brentq
 from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity
+from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.law.law_blocks import Block
-from nmt_diagnose.law.law_elements import with_law
+from nmt_diagnose.law.law_elements import element_of, with_law
 from nmt_diagnose.law.law_search import LawCandidate, LawPlace, LawSearch, UnboundedMotionError
-from nmt_diagnose.law.reading import LawReading, read_law
-from nmt_diagnose.law.terms import Term
+from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, read_law
+from nmt_diagnose.law.terms import Term, force_of
 from nmt_diagnose.measurements.backbone_table import BackboneTable
 from nmt_diagnose.measurements.channel import MeasuredChannel
 from nmt_diagnose.measurements.measurement import Observations, RowTable
@@ -26,9 +29,11 @@ from nmt_diagnose.measurements.recorded_decay import RecordedDecay
 from nmt_diagnose.measurements.stepped_responses import SteppedResponses
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.observables import Part, Place
-from nmt_diagnose.search.law_starts import effects_of_law
+from nmt_diagnose.prediction.operating_range import operating_range
+from nmt_diagnose.search.law_starts import _start, effects_of_law
 from nmt_rig.rig import Rig, validate_rig
 from nmt_rig.rig_file import RigDocument
+from nmt_rig.rig_model import build_structure
 
 
 @cache
@@ -151,6 +156,36 @@ def test_two_laws_at_two_places_are_read_and_written() -> None:
     assert sorted((element.kind, element.point) for element in elements) == [("cubic_spring", 4), ("tanh_friction", 2)]
     starts = [name for law in found.laws for name, _ in effects_of_law(law)]
     assert sorted(starts) == ["cubic_stiffness", "second_friction_contact"]
+
+
+@pytest.mark.parametrize("order", [(3, 0), (2, 3), (3, 2)])
+@pytest.mark.parametrize(
+    ("kind", "parameters", "strength"),
+    [("stop", (1e-4, 1.0), 2e4), ("stop", (1e-4, -1.0), 2e4), ("power", (2.0,), 3e6), ("power", (3.0,), -4e8)],
+)
+def test_a_law_begins_at_the_effect_that_has_its_force(
+    order: tuple[int, int], kind: str, parameters: tuple[float, ...], strength: float
+) -> None:
+    """Between two points the effect has them in one order, and the law in any."""
+    rig = chain_of_masses()
+    term = LawTerm(kind, parameters, strength, 1.0, "N")
+    law = LocalLaw(*order, "", (term,), 1e-3, (), ())
+    library = candidates(rig, operating_range(rig, []))
+    started = _start(library, law)
+    assert started is not None
+    candidate, theta = started
+    element = Parametrisation(rig, (), (candidate,)).rig(theta).local_elements[-1]
+    expected = element_of(term, law)
+    assert expected is not None
+    structure, motion = build_structure(rig), 3e-4 * np.random.default_rng(1).standard_normal((20, len(MASSES)))
+
+    def forces(section: Any) -> Any:
+        (one,) = section.elements(structure)
+        along = motion @ one.direction
+        return np.outer(force_of(one, along, np.zeros(along.size)), one.direction)
+
+    assert np.any(forces(expected))
+    np.testing.assert_allclose(forces(element), forces(expected), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.campaign

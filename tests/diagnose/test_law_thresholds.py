@@ -18,6 +18,7 @@ from nmt_diagnose.law.law_search import LawSearch, fewest, moves_enough
 from nmt_diagnose.law.modal_frame import ModalFrame
 from nmt_diagnose.law.nuisance import _of_other_modes
 from nmt_diagnose.law.terms import Term
+from nmt_diagnose.search import law_starts
 from nmt_diagnose.search.law_starts import effects_of_law, worth_a_start
 
 
@@ -195,3 +196,29 @@ def test_errors_of_other_modes_are_what_a_moved_model_makes_of_a_law() -> None:
             np.abs(changed / step - columns[f"{what} of mode 3 at its harmonics"]).max()
             < 1e-3 * np.abs(changed / step).max()
         )
+
+
+@pytest.mark.parametrize(
+    ("held", "driven", "told"),
+    [("empty", "stated", "driven"), ("refused", "stated", "driven"), ("stated", "stated", "held"),
+     ("empty", "refused", "driven"), ("refused", "refused", "held"), ("empty", "empty", "held"),
+     ("none", "stated", "driven"), ("fails", "stated", "driven"), ("none", "none", None)],
+)  # fmt: skip
+def test_a_reading_without_a_law_hides_none(held: str, driven: str, told: str | None) -> None:
+    """Of held levels and of driven records of the same specimen."""
+    law = reading.LocalLaw(1, 0, "dry friction", (), 1e-3, (), ())
+
+    def read(name: str, how: str) -> Any:
+        def of(rig: Any, observations: Any) -> Any:
+            if how == "fails":
+                raise ArithmeticError
+            laws, why = () if how == "empty" else (law,), () if how == "stated" else ("why",)
+            return None if how == "none" else reading.LawReading(name, 9, laws, 9.0, 1.0, 0.9, 0.9, why)
+
+        return of
+
+    with pytest.MonkeyPatch.context() as patch:
+        for name, how in (("read_law", held), ("read_record_law", "none"), ("read_driven_law", driven)):
+            patch.setattr(law_starts, name, read("held" if name == "read_law" else "driven", how))
+        found = law_starts.law_of(None, None)  # type: ignore[arg-type]
+    assert (None if found is None else found.test) == told

@@ -128,6 +128,18 @@ def test_an_effect_that_closes_as_much_as_it_and_another_is_the_answer(alone: fl
     shares = {
         it.head.explanation: ClosedShare(9.0, 1.0, 1.0, p, p, p) for it, p in zip(classes, (1.0, alone), strict=True)
     }
-    after = by_plain_effect(before, shares)
+    after = by_plain_effect(before, shares, lambda one, other: False)
     assert len(after.classes[0].head.stated) == first
     assert (after.classes[0].probability, after.unknown) == ((1.0, 0.0) if first == 1 else (0.3, 0.7))
+
+
+@pytest.mark.parametrize("alike", [True, False])
+def test_a_second_effect_that_says_nothing_takes_no_probability_off_the_first(alike: bool) -> None:
+    """Two laws that may imitate a third count as the one of them that does as much alone."""
+    single, both = found(LEFT, 4), pair(LEFT)
+    single.explanation = Explanation(both.explanation.causes[:1])
+    everything = Hypotheses(None, found(LEFT), [single, both], list(both.candidates), [], [])  # type: ignore[arg-type]
+    everything._left = lambda it: 0.0 if it is single else math.log(1.0 / 3.0)  # type: ignore[method-assign]
+    everything._alike = lambda one, other: alike  # type: ignore[method-assign]
+    assert everything._left_by_simplest(both) == pytest.approx(0.0 if alike else math.log(1.0 / 3.0))
+    assert everything._left_by_simplest(single) == 0.0

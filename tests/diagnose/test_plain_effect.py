@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import cast
 
 import pytest
@@ -10,6 +11,7 @@ from diagnose.predicted_observations import chain, observations_of_model
 
 from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import candidates
+from nmt_diagnose.effects.location import Location
 from nmt_diagnose.fit.explanations import FittedExplanation
 from nmt_diagnose.fit.fitting import FitResult
 from nmt_diagnose.ledger.comparison import IMITATION, Comparison, EquivalentClass, by_plain_effect
@@ -34,12 +36,15 @@ def of(library: dict[str, Candidate], effects: str, probability: float, *against
     return EquivalentClass((found,), 0.0, probability, against)
 
 
-def led(*closes: tuple[EquivalentClass, float]) -> tuple[str, float]:
-    """Effects and probability of what leads, from classes, the most probable first, and what each closes."""
+def led(*closes: tuple[EquivalentClass, float], leaves_less: bool = False) -> tuple[str, float]:
+    """Effects and probability of what leads, from classes, the most probable first, and what each closes.
+
+    The first certainly leaves less than any other.
+    """
     comparison = Comparison(0.0, 1.0, tuple(it for it, _ in closes), {}, 100.0, {})
     nan = math.nan
     shares = {it.head.explanation: ClosedShare(1.0, nan, 0.0, value, nan, nan) for it, value in closes}
-    first = by_plain_effect(comparison, shares).classes[0]
+    first = by_plain_effect(comparison, shares, lambda one, other: leaves_less).classes[0]
     return "+".join(first.head.explanation.effects), first.given_library
 
 
@@ -78,3 +83,29 @@ def test_one_effect_that_leaves_noise_leads_where_it_closes_as_much(
     effects, probability = led((two, 0.99), (of(library, "cubic_stiffness", 0.0), alone))
     assert len(effects.split("+")) == leads
     assert probability == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("second", "against", "leaves_less", "leads"),
+    [
+        ("power_law_damping", IMITATION, True, 2),
+        ("power_law_damping", IMITATION, False, 1),
+        ("power_law_damping", REMAINS, True, 1),
+        ("quintic_stiffness", IMITATION, True, 1),
+    ],
+)
+@pytest.mark.parametrize("alone", [(0.95, (REMAINS,)), (0.985, ())])
+def test_two_laws_at_two_places_stay_together_where_they_certainly_leave_less(
+    library: dict[str, Candidate], second: str, against: Objection, leaves_less: bool, leads: int,
+    alone: tuple[float, tuple[Objection, ...]],
+) -> None:  # fmt: skip
+    """Two at one place may imitate one that the library lacks, and two that leave something are not the gap."""
+    here = library["cubic_stiffness"].site.location
+    places = {"power_law_damping": Location.at("structure", here.points[0] + 1)}
+    other = library[second]
+    moved = replace(other, site=replace(other.site, location=places.get(second, here)))
+    found = FittedExplanation((library["cubic_stiffness"], moved), cast(FitResult, None))
+    two = EquivalentClass((found,), 0.0, 1.0, (against,))
+    one = of(library, "cubic_stiffness", 0.0, *alone[1])
+    assert two.of_two_places == (second == "power_law_damping" and against == IMITATION)
+    assert len(led((two, 0.99), (one, alone[0]), leaves_less=leaves_less)[0].split("+")) == leads

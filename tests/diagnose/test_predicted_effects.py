@@ -20,6 +20,7 @@ from nmt_diagnose.effects.effect import Candidate
 from nmt_diagnose.effects.library import ALIKE_AT_EVERY_LEVEL, candidates, library
 from nmt_diagnose.effects.operating_range import LackingMode, OperatingRange
 from nmt_diagnose.effects.parametrisation import Parametrisation
+from nmt_diagnose.effects.structure_effects import BELOW
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.operating_range import operating_range, receptances
@@ -43,6 +44,7 @@ ON_THE_CHAIN = {
     "viscous_damping@1-2": (5.0,),
     "added_mass@2": (5.0,),
     "one_sided_stop@2": (2.0, math.log(0.5)),
+    "one_sided_stop@2, below": (2.0, math.log(0.5)),
     "two_sided_gap@1": (2.0, math.log(0.4)),
     "microslip@2": (4.0, -0.3),
     "second_friction_contact@1": (0.9, math.log(3.0)),
@@ -124,7 +126,8 @@ def surroundings(name: str) -> tuple[Rig, OperatingRange]:
 
 def candidate(name: str, label: str) -> tuple[Rig, Candidate]:
     rig, operating = surroundings(name)
-    found = [c for c in candidates(rig, operating) if c.label == label]
+    label, _, form = label.partition(", ")
+    found = [c for c in candidates(rig, operating) if c.label == label and (c.effect.form == BELOW) == (form == BELOW)]
     assert len(found) == 1, label
     return rig, found[0]
 

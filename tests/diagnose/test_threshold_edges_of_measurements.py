@@ -430,7 +430,8 @@ class Searched(SimpleNamespace):
         noted: list[Any] = []
         super().__init__(
             tell=lambda sentence: None, exchanged=noted, leaves_noise_only=lambda single: False, parameters=(),
-            missing_modes=lambda null: [], _adds_a_mode=lambda number: False,
+            _from_other_starts=lambda base, found, scores: found, missing_modes=lambda null: [],
+            _adds_a_mode=lambda number: False,
             _added=lambda base, wanted: list(found), _exchanged=lambda best, other, likely: noted.append(other),
         )  # fmt: skip
 

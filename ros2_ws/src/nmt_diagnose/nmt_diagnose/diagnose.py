@@ -272,6 +272,7 @@ def _diagnosed(
         visible=detectable() if settings.look_ahead and not settings.put_off_detectable else (),
         adequate=judgement.adequate,
         law=law,
+        law_leads=judgement.law_leads,
         next_levels=ahead.levels,
         other_sensors=ahead.sensors,
         answers=credible_answers(verdict, judgement.adequate, ranking, comparison.by_label),
@@ -425,7 +426,7 @@ def _sentences(
         )
     if judgement.named is not None:
         text = (*text, *_relieving(findings.data, judgement.best))
-    from_law = law_sentences(judgement.law, judgement.law_leads)
+    from_law = law_sentences(judgement.law, judgement.law_is_written)
     if judgement.law is not None and judgement.law_leads:
         text = led_by_law(from_law, text, judgement.law, answer.where)
     else:

@@ -27,11 +27,11 @@ def with_local(rig: Rig, section: type[ElementSection], site: Site, **settings: 
     return with_element(rig, element)  # type: ignore[arg-type]
 
 
-def local_element(section: type[ElementSection], keys: Mapping[str, str]) -> Change:
-    """Change that adds one local element; ``keys`` maps parameters to keys of its section."""
+def local_element(section: type[ElementSection], keys: Mapping[str, str], **settings: object) -> Change:
+    """Change that adds one local element; ``keys`` maps parameters to keys of its section, ``settings`` are further."""
 
     def change(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-        return with_local(rig, section, site, **{key: values[name] for name, key in keys.items()})
+        return with_local(rig, section, site, **{key: values[name] for name, key in keys.items()}, **settings)
 
     return change
 

@@ -19,12 +19,15 @@ from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.element_uses import ElementEffect
 from nmt_rig.model.local_elements import SECTIONS
+from nmt_rig.model.local_elements.contacts import UnilateralStopSection
 from nmt_rig.model.local_elements.dampers import PowerLawDamperSection
 from nmt_rig.model.local_elements.element import ElementSection
 from nmt_rig.rig import AddedMassSection, BeamSection, OscillatorSection, Rig
 from nmt_rig.rig_model import build_plain_structure
 
 MISSING_MODE = "missing_mode"
+BELOW = "below"
+"""Form of a stop on the side of negative displacement."""
 Sizes = Callable[[float, float, float], Mapping[str, float]]
 
 
@@ -112,6 +115,16 @@ def _with_power_law(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
     exponent = 1.0 + excess_exponent(values)
     coefficient = values["force"] / site.reference**exponent
     return with_local(rig, PowerLawDamperSection, site, coefficient_n_sp_mp=coefficient, exponent=exponent)
+
+
+def _below(effect: Effect) -> Effect:
+    """A stop on the other side of a point, or against the other of two."""
+    section = UnilateralStopSection
+    return replace(
+        effect, equation="k min(x + g, 0)", keys=f"local_elements: {section.kind_name()}, reversed", form=BELOW,
+        change=local_element(section, section.effect.parameters, reversed=True),
+        report=lambda site, values: {"k": (values["k"], "N/m"), "gap_below": (values["gap"], "m")},
+    )  # fmt: skip
 
 
 def _power_law(effect: Effect) -> Effect:
@@ -246,6 +259,7 @@ _ADDED_MASS = Effect(
 )  # fmt: skip
 _MORE: dict[str, Callable[[Effect], tuple[Effect, ...]]] = {
     "air_drag": lambda effect: (_air_drag(effect),),
+    "one_sided_stop": lambda effect: (effect, _below(effect)),
     "power_law_damping": lambda effect: (_power_law(effect), _STRUCTURAL_DAMPING),
     "viscous_damping": lambda effect: (effect, _ADDED_MASS, _MISSING_MODE, _ELASTIC_TRANSMISSION),
 }

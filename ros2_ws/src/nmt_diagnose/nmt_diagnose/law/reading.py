@@ -44,6 +44,14 @@ class LawTerm:
     by: str = ""
 
     @property
+    def reversed(self) -> LawTerm:
+        """The same term along the other direction: even powers and stops on one side change it."""
+        if self.kind in ("stop", "stop damping"):
+            return replace(self, parameters=(*self.parameters[:-1], -self.parameters[-1]))
+        even = self.kind == "power" and self.parameters[0] % 2.0 == 0.0
+        return replace(self, coefficient=-self.coefficient) if even else self
+
+    @property
     def of_unit_strength(self) -> Term:
         """The formula; a stop whose gap is zero states its side only."""
         stop = self.kind in ("stop", "stop damping")
@@ -97,6 +105,13 @@ class LocalLaw:
         return tuple(result)
 
     @property
+    def reversed(self) -> LocalLaw:
+        """The same law between the same points in the other order."""
+        return replace(
+            self, point=self.other_point, other_point=self.point, terms=tuple(t.reversed for t in self.terms)
+        )
+
+    @property
     def place(self) -> str:
         """Where it acts, for people: a point, or two."""
         return f"{self.point}-{self.other_point}" if self.other_point else f"{self.point}"
@@ -116,8 +131,9 @@ class LawReading:
         refusals: why the law is not reported; empty = it is reported.
         of_record: parts of one record stand for levels.
         closed_by_file: share of the gap that the rig file with the laws closes by the prediction that later commands
-            make with it: of a record on the parts of the largest motion, which its strengths then do not know; of
-            held levels on rows that were held out, by strengths that were fitted without them; NaN = not known.
+            make with it, on rows that were held out; NaN = not known. Strengths of held levels are fitted without
+            these; a record's close no more than on the parts of the largest motion, which they then do not know.
+        closed_at_least: the lower end of its interval; NaN = not known.
         check: the law of records against a part that it does not know.
         late: channel of the force of records and how much later than the motion it comes, s; None = in step.
     """
@@ -132,6 +148,7 @@ class LawReading:
     refusals: tuple[str, ...]
     of_record: bool = False
     closed_by_file: float = math.nan
+    closed_at_least: float = math.nan
     late: tuple[str, float] | None = None
     check: RecordCheck | None = None
 
@@ -145,15 +162,10 @@ class LawReading:
         """Whether the law goes to the rig file: not where the file predicts no better than without it."""
         return self.is_stated and not self.closed_by_file <= 0.0
 
-    def closes_as_much_as(self, share: float, low: float) -> bool:
-        """Whether the law predicts held-out data as well as an explanation that closes a share of the gap.
-
-        The share that the rig file with the law closes has to reach ``low``, the lower end of the interval of the other
-        share. Of records, and where it is not known, levels that were left out have to exceed that share itself.
-        """
-        if self.of_record or not math.isfinite(self.closed_by_file):
-            return min(self.closed_inside, self.closed_above) > share
-        return self.closed_by_file >= low
+    @property
+    def closed(self) -> float:
+        """Share of the gap that it closes of what was held out: by its file, else on levels that were left out."""
+        return self.closed_by_file if math.isfinite(self.closed_by_file) else min(self.closed_inside, self.closed_above)
 
 
 def read_law(rig: Rig, observations: Observations) -> LawReading | None:

@@ -116,7 +116,7 @@ def reading_of(
         refusals = (why,) if why else ()
         lateness = None if records.lateness is None else (records.lateness[0], late * records.lateness[1])
         return LawReading(
-            name, records.count, laws, before, after, inside, above, refusals, True, by_file, lateness, check
+            name, records.count, laws, before, after, inside, above, refusals, True, by_file, late=lateness, check=check
         )
 
     if before < limits.least_null_score:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -83,6 +83,14 @@ class EquivalentClass:
         """Whether the residual of the most probable explanation is noise, or smaller than what matters."""
         return not self.objections
 
+    @property
+    def of_two_places(self) -> bool:
+        """Whether it is two laws at two places and leaves no more than noise.
+
+        One law that the library lacks acts at one place: two that imitate it do so there.
+        """
+        return self.objections == (IMITATION,) and len(set(self.head.explanation.locations)) > 1
+
     def facts(self, share: ClosedShare | None, rival: float) -> Facts:
         """What the rules of a verdict ask of it.
 
@@ -103,7 +111,7 @@ class EquivalentClass:
             rival=rival,
             among_library=self.given_library,
             closed=share.value if share is not None and named else 0.0,
-            effects=len(self.head.stated),
+            effects=1 if self.of_two_places else len(self.head.stated),
         )
 
 
@@ -140,15 +148,21 @@ class Comparison:
         return (*self.classes[:count], *parts)
 
 
-def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedShare]) -> Comparison:
+def by_plain_effect(
+    comparison: Comparison,
+    shares: Mapping[Explanation, ClosedShare],
+    leaves_less: Callable[[FittedExplanation, FittedExplanation], bool],
+) -> Comparison:
     """Rank a single effect first if it alone closes most of a gap that several together may not explain.
 
     An effect that closes most of a gap alone is established, whatever else acts. One that leaves nothing that matters
-    and closes as much of the gap on held-out data as the several is the whole answer.
+    and closes as much of the gap on held-out data as the several is the whole answer. Two laws at two places stay
+    together where they leave noise and certainly less than the one.
 
     Args:
         comparison: of all explanations.
         shares: of the gap that explanations close on data held out.
+        leaves_less: whether the first explanation certainly leaves less than the second.
     """
     if not comparison.classes or comparison.classes[0].adequate:
         return comparison
@@ -162,12 +176,15 @@ def by_plain_effect(comparison: Comparison, shares: Mapping[Explanation, ClosedS
     of_two = value.get(id(leader), math.nan)
     if of_two < THRESHOLDS.verdict.partial_closed_share_of_two:
         least *= of_two  # nothing is named for certain: what comes nearest is the one that does most of it
+    # Where rows held out leave open what the second does they ask of the first what they ask of a part.
+    as_much = of_two - _AS_MUCH if math.isfinite(of_two) else THRESHOLDS.verdict.partial_closed_share
     causes = set(leader.head.explanation.causes)
     alone = [
         equivalent
         for equivalent in comparison.classes[1:]
         if set(equivalent.head.explanation.causes) < causes
-        and value.get(id(equivalent), -math.inf) >= (least if equivalent.objections else of_two - _AS_MUCH)
+        and value.get(id(equivalent), -math.inf) >= (least if equivalent.objections else as_much)
+        and not (leader.of_two_places and leaves_less(leader.head, equivalent.head))
     ]
     if not alone:
         return comparison
@@ -353,6 +370,12 @@ class Hypotheses:
             total += math.log(two / (two + unnamed))
         return total
 
+    def _left_by_simplest(self, found: FittedExplanation) -> float:
+        """The same of the best of an explanation and of those that say as much by fewer effects."""
+        causes = set(found.explanation.causes)
+        fewer = [other for other in self.stated if set(other.explanation.causes) < causes and self._alike(other, found)]
+        return max(self._left(one) for one in (found, *fewer))
+
     def objections(self, found: FittedExplanation) -> tuple[Objection, ...]:
         """What speaks against an explanation as the whole of the gap."""
         left = (*left_over(self.data, found, self.data.observations.matters), *self._implausible(found)[0])
@@ -470,7 +493,7 @@ class Hypotheses:
                 by_place[location] = by_place.get(location, 0.0) + (float(p) - unnamed) * share
         total = sum(by_place.values())
         # A residual beyond noise shows an unnamed cause. Without further evidence it is placed with the named one.
-        noise = np.exp([self._left(explanation) for explanation in stated])
+        noise = np.exp([self._left_by_simplest(explanation) for explanation in stated])
         unknown = float(p_unnamed.sum() + p_named @ (1.0 - noise))
         given_library = p_named / max(float(p_named.sum()), 1e-300)
         p_named = p_named * noise
@@ -575,10 +598,18 @@ class Hypotheses:
             ]
             weight, library_share = sum(w for w, _, _ in equivalent), sum(g for _, g, _ in equivalent)
             against, head = self.objections(members[0]), members[0]
-            at = {found.explanation.place: share for found, share in self._placed(head.effects)}
+            at: dict[str, float] = {}
+            for found, share in self._placed(head.effects):
+                at[found.explanation.place] = at.get(found.explanation.place, 0.0) + share
             result.append(EquivalentClass(tuple(members), weight, library_share, against, at))
         return tuple(
-            sorted(result, key=lambda it: (-round(it.probability, _DIGITS) if it.adequate else 0.0, -it.given_library))
+            sorted(
+                result,
+                key=lambda it: (
+                    -round(it.probability, _DIGITS) if it.adequate or it.of_two_places else 0.0,
+                    -it.given_library,
+                ),
+            )
         )
 
     def _head(self, same: Sequence[FittedExplanation]) -> FittedExplanation:

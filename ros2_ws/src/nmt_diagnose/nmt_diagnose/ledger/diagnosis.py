@@ -286,7 +286,8 @@ class Diagnosis:
     """All that a diagnosis says; the fields are those of ``diagnosis.json``.
 
     ``adequate`` is false where the residual exceeds noise and matters: with the verdict ``effect`` the explanation is a
-    partial one then. ``law`` is the local force that held levels lack, where no effect of the library explains them.
+    partial one then. ``law`` is the local force that the model lacks, where no effect of the library explains the
+    recordings; ``law_leads`` says whether it is the answer.
     ``next_levels`` are those of the plan that was given, ``other_sensors`` those that would separate explanations that
     no remaining test separates. ``answers`` are the fewest that hold the truth with a probability of 95 %.
     ``ledger`` has each explanation that was fitted, and the rules that state it or not. ``too_small`` is an effect that
@@ -312,18 +313,12 @@ class Diagnosis:
     visible: tuple[DetectableEffect, ...] = ()
     adequate: bool = True
     law: LawReading | None = None
+    law_leads: bool = False
     next_levels: NextTest | None = None
     other_sensors: tuple[NextTest, ...] = ()
     answers: tuple[Answer, ...] = ()
     ledger: Ledger = field(default_factory=Ledger)
     too_small: Ranked | None = None
-
-    @property
-    def law_leads(self) -> bool:
-        """Whether the law is the answer and is written: at most a part is stated, which closes no more."""
-        if self.law is None or not self.law.is_written:
-            return False
-        return self.verdict is Verdict.UNKNOWN or self.law.closes_as_much_as(self.gap.closed, self.gap.low)
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain values for JSON; what is not finite becomes None."""

@@ -177,26 +177,35 @@ class HeldOut:
         """What values of a model, (m,), leave of all rows over σ by the best errors of the chain, (m,)."""
         return best_chain_errors(self.everything, values).residual
 
-    def closed(self, best: FittedExplanation) -> ClosedShare:
-        """How much of the gap an explanation closes on rows that its fit did not see."""
-        return closed(self.everything.observations, self.pairs(best), self.seed)
+    def closed(self, best: FittedExplanation, than: FittedExplanation | None = None) -> ClosedShare:
+        """How much of the gap an explanation closes on rows that its fit did not see.
 
-    def pairs(self, best: FittedExplanation) -> list[Pair]:
+        Args:
+            best: the explanation.
+            than: what leaves the gap, of which all counts, its noise too; None = the model alone, above the noise.
+        """
+        floor = 1.0 if than is None else 0.0
+        return closed(self.everything.observations, self.pairs(best, than), self.seed, floor)
+
+    def pairs(self, best: FittedExplanation, than: FittedExplanation | None = None) -> list[Pair]:
         """Residuals of the model alone and of an explanation on rows that neither fit saw, one pair for each split.
 
         A split whose fit leaves open what the explanation does to the rows held out says nothing of it, nor does one
         from which the model alone knows less of them than what it is off by.
+
+        Args:
+            best: the explanation.
+            than: in place of the model alone.
         """
-        scale, data = best.scale(), self.everything
+        scale, data, first = best.scale(), self.everything, self.null if than is None else than
         fits = [
-            best_chain_errors(data, found.fit.prediction.values, found.fit.errors).residual
-            for found in (self.null, best)
+            best_chain_errors(data, found.fit.prediction.values, found.fit.errors).residual for found in (first, best)
         ]
         change = (fits[1] - fits[0]) * scale
         pairs: list[Pair] = []
         for split in self.splits:
             rows = split.held_out & data.used
-            before, after = (self.refitted(found, split) for found in (self.null, best))
+            before, after = (self.refitted(found, split) for found in (first, best))
             if before is None or after is None or not rows.any():
                 continue
             uncertain = after.std * scale

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -92,14 +93,28 @@ class Judgement:
 
     @property
     def law_leads(self) -> bool:
-        """Whether the law is the answer and is written: nothing is stated, or no more than a part that closes no more.
+        """Whether the law is the answer, of what it and the nearest explanation close of the same rows held out.
 
-        The law goes to the model as given; what is stated moves that.
+        The law goes to the model as given. It leads where it closes as much as an explanation that leaves something,
+        half as much as one that moves the model's parameters beyond belief, and certainly more than one that leaves
+        noise.
         """
-        law, share = self.law, self.nearest_share
+        law, leader, share = self.law, self.nearest, self.nearest_share
         if law is None or not law.is_written:
             return False
-        return share is None or not self.partial or law.closes_as_much_as(share.value, share.low)
+        if leader is None or share is None or not math.isfinite(share.value):
+            return True
+        if leader.adequate or leader.of_two_places:
+            return law.closed_at_least > share.high
+        if any(objection.group and not objection.kind for objection in leader.objections):
+            return law.closed >= THRESHOLDS.law.told_score_ratio * share.value
+        return law.closed >= share.low
+
+    @property
+    def law_is_written(self) -> bool:
+        """Whether the rig file gets the law: where it leads, and where nothing else is stated."""
+        law = self.law
+        return law is not None and law.is_written and (self.law_leads or self.verdict is Verdict.UNKNOWN)
 
     @property
     def nearest_share(self) -> ClosedShare | None:
@@ -110,14 +125,14 @@ class Judgement:
     def written(self) -> tuple[Rig, Rig | None]:
         """The model for the rig file, and the one that competed with it; None where none did.
 
-        Where the law leads and is what comes nearest, too, it gets the strengths that close more.
+        Where the law is what comes nearest, too, it gets the strengths that close more.
         """
         rig, law = self.findings.search.rig, self.law
         model = rig if self.verdict is Verdict.NONE else self.best.rig
         if law is None or not law.is_written:
             return model, None
         by_law, share = with_law(rig, law), self.nearest_share
-        if not self.law_leads:
+        if not self.law_is_written:
             return model, by_law
         named = {(cause.effect, cause.location.detail) for cause in self.reported.explanation.causes}
         alike = {(name, each.place) for each in law.laws for name, _ in effects_of_law(each)}
@@ -136,41 +151,55 @@ def judged(findings: Findings, held_out: HeldOut, settings: DiagnosisSettings) -
     """
     comparison = findings.comparison
     shares = {equivalent.head.explanation: held_out.closed(equivalent.head) for equivalent in comparison.to_judge()}
-    comparison = by_plain_effect(comparison, shares)
+
+    def leaves_less(one: FittedExplanation, other: FittedExplanation) -> bool:
+        # The noise of a record's samples is known, and with it what the evidence demands.
+        rise = one.fit.log_evidence - other.fit.log_evidence
+        demanded = findings.search.of_records and rise >= THRESHOLDS.verdict.sure_log_evidence
+        return demanded or held_out.closed(one, other).low > 0.0
+
+    comparison = by_plain_effect(comparison, shares, leaves_less)
     leader = comparison.classes[0] if comparison.classes else None
     share = None if leader is None else shares[leader.head.explanation]
     alone = _alone(findings, settings)
     rival = max(comparison.unknown, comparison.none)
     verdict = verdict_of(alone, None if leader is None else leader.facts(share, rival))
     law = findings.law
-    if verdict.gap and law is not None and law.is_stated and not law.of_record:
+    if verdict.gap and law is not None and law.is_stated:
         scale = (findings.null if leader is None else leader.head).scale()
         by_law = _law_held_out(findings, held_out, scale)
         if by_law is not None:
-            law = replace(law, closed_by_file=by_law.value)
+            # Strengths of a record's law know its rows: what they close of parts that they do not know limits it.
+            known = law.closed_by_file if law.of_record else math.nan
+            value, low = (float(np.fmin(known, closed)) for closed in (by_law.value, by_law.low))
+            law = replace(law, closed_by_file=value, closed_at_least=low)
             findings = replace(findings, law=law)
             if verdict is Verdict.EFFECT and leader is not None and share is not None:
-                verdict = _effect_and_law(law, by_law, leader, share)
+                verdict = _effect_and_law(law, leader, share)
     return Judgement(findings, comparison, shares, alone, verdict)
 
 
-def _effect_and_law(law: LawReading, by_law: ClosedShare, leader: EquivalentClass, share: ClosedShare) -> Verdict:
+def _effect_and_law(law: LawReading, leader: EquivalentClass, share: ClosedShare) -> Verdict:
     """The verdict on what would explain the whole: nothing in the library does where a law closes certainly more.
 
     A law that is that effect and nothing else says the same.
     """
     named = {(cause.effect, cause.location.detail) for cause in leader.head.explanation.causes}
-    same = [{(name, each.place) for name, _ in effects_of_law(each)} for each in law.laws if len(each.at_middle) == 1]
+    same = [
+        {(name, each.place) for name, _ in effects_of_law(each)}
+        for each in law.laws
+        if len(each.at_middle) == 1 or {term.kind for term in each.at_middle} == {"friction"}
+    ]
     if len(law.laws) == len(same) == 1 and named <= same[0]:
         return Verdict.EFFECT
-    return Verdict.UNKNOWN if leader.adequate and by_law.low > share.high else Verdict.EFFECT
+    return Verdict.UNKNOWN if leader.adequate and law.closed_at_least > share.high else Verdict.EFFECT
 
 
 def _law_held_out(findings: Findings, held_out: HeldOut, scale: FloatArray) -> ClosedShare | None:
     """How much of the gap the rig file with the law closes on rows that the law was not read from.
 
-    Its strengths are fitted anew to the rows of each split, and it goes to the model as given. None where no split
-    determines it, or where the file has an element whose motion is only known step by step.
+    Strengths of held levels are fitted anew to the rows of each split. The law goes to the model as given. None where
+    no split determines it, or where the file has an element whose motion is only known step by step.
 
     Args:
         findings: with the law.
@@ -180,7 +209,13 @@ def _law_held_out(findings: Findings, held_out: HeldOut, scale: FloatArray) -> C
     rig, observations, reading = findings.search.rig, held_out.everything.observations, findings.law
     forward = Forward(observations.tests, observations.rows)
 
+    @cache
+    def by_file() -> FloatArray | None:
+        return None if reading is None else np.asarray(forward.predict(with_law(rig, reading)).values)
+
     def values_after(split: Split) -> FloatArray | None:
+        if reading is not None and reading.of_record:
+            return by_file()
         part = observations.take(held_out.fitted.used & split.fitted)
         laws = None if reading is None else refitted_laws(rig, part, reading)
         return None if laws is None else np.asarray(forward.predict(with_laws(rig, laws)).values)

@@ -37,7 +37,7 @@ class Facts:
         rival: largest probability of any other class.
         among_library: probability of its class if one explanation of the library had to be the whole of the gap.
         closed: share of the gap on data held out that it closes.
-        effects: that it states.
+        effects: that it states; two laws at two places that leave noise count as one.
         part: it is judged as a partial explanation.
     """
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import OrderedDict
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -38,6 +38,7 @@ from nmt_diagnose.prediction.record_kernel import SteppedModel, step_through, st
 from nmt_diagnose.prediction.resting_motion import (
     Motion,
     noise_motion,
+    ratio_if_far_off,
 )
 from nmt_diagnose.prediction.rig_parts import RigParts
 from nmt_diagnose.prediction.rig_tables import DELAY, GAIN
@@ -63,10 +64,42 @@ class DrivenRecord(Record):
     def motions(
         self, rig: Rig, channels: tuple[MeasuredChannel, ...], settings: PredictionSettings, frequency_hz: float
     ) -> list[Motion]:
-        """Rms of the motion that flat noise as large as its input makes, by the system linearised at rest."""
+        """The model under its input at the samples at which a point, or the way between two, is the largest.
+
+        Where the model has no solution, the rms of the motion that flat noise as large as the input makes.
+        """
         lines = 2.0 * np.pi * np.geomspace(1e-3, 0.4, 200) * self.sample_rate
         ideal = self.input_channel.quantity == Quantity.FORCE
-        return noise_motion(rig, self.drive_point, channels, settings, lines, float(np.std(self.input)), ideal)
+        at_rest = noise_motion(rig, self.drive_point, channels, settings, lines, float(np.std(self.input)), ideal)
+        test = replace(self, channels=channels, head=np.zeros((0, 0)), begins_in_motion=False)
+        moved = RecordPredictor(test, empty(()).rows, settings).responses(rig, PartsCache(settings))
+        size = np.abs(moved).max(axis=1)
+        if not np.isfinite(size).all() or not size.any():
+            return at_rest
+        factor = self._over_model(dict(zip((channel.name for channel in channels), size, strict=True)))
+        probes = [number for number, channel in enumerate(channels) if channel.name.startswith("probe ")]
+        ways = list(combinations(probes, 2)) if len(probes) <= THRESHOLDS.prediction.most_joined_points else []
+        apart = [moved[i] - moved[j] for i, j in ways or pairwise(probes)]
+        (parts, omega, drive, amplitudes, unknowns) = at_rest[0]
+        crest = float(size[probes].max() / np.abs(amplitudes[probes]).max())
+        found: list[Motion] = []
+        for sample in sorted({int(np.abs(way).argmax()) for way in (*moved[probes], *apart)}):
+            values = size.astype(np.complex128)
+            values[probes] = moved[probes, sample]
+            found.append((parts, omega, drive, factor * values, factor * crest * unknowns))
+        return found
+
+    def _over_model(self, predicted: Mapping[str, float]) -> float:
+        """Measured motion over that of the model, by the largest samples of its channels; 1 where they are alike."""
+        if not self.responses.size:
+            return 1.0
+        measured = np.abs(self.responses - self.responses.mean(axis=1, keepdims=True)).max(axis=1)
+        ratios = [
+            size / predicted[channel.name]
+            for channel, size in zip(self.channels, measured, strict=True)
+            if predicted.get(channel.name, 0.0) > 0.0
+        ]
+        return ratio_if_far_off(ratios)
 
 
 # -- predictor -------------------------------------------------------------------------------------------------------

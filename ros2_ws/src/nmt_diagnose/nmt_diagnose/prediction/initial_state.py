@@ -15,8 +15,8 @@ import numpy as np
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_diagnose.prediction.record_kernel import SteppedModel
 
-_ITERATIONS = 8
-_HALVINGS = 4
+_ITERATIONS = 16
+_HALVINGS = 3
 _SETTLED = 1e-9  # change of the state, over the motion, below which it is found: differences of two rigs are small
 _STEP = 1e-3  # of differences, over the motion
 _SINGULAR = 1e-3  # of the largest singular value
@@ -82,33 +82,34 @@ def initial_state(
         moved = [left(theta + step) for step in _STEP * np.eye(theta.size)]
         return np.stack([(residual - other) / _STEP for other in moved], axis=1)
 
-    def stepped(theta: FloatArray, residual: FloatArray, columns: FloatArray) -> tuple[FloatArray, FloatArray, bool]:
-        """The state after a least-squares step that does not raise the residual, the residual, whether it was small."""
+    def stepped(
+        theta: FloatArray, residual: FloatArray, columns: FloatArray, halvings: int
+    ) -> tuple[FloatArray, FloatArray, float]:
+        """The state after a least-squares step that does not raise the residual, the residual, the step; 0 = none."""
         change = np.linalg.lstsq(np.hstack((columns, constants)), residual, rcond=_SINGULAR)[0][: theta.size]
         before = float(np.sum(without_zeros(residual) ** 2))
-        for _ in range(_HALVINGS):
+        for _ in range(1 + halvings):
             trial = left(theta + change)
             if np.isfinite(trial).all() and float(np.sum(without_zeros(trial) ** 2)) <= before:
-                return theta + change, trial, float(np.abs(change).max()) < _SETTLED
+                return theta + change, trial, float(np.abs(change).max())
             change = 0.5 * change
-        return theta, residual, False
+        return theta, residual, 0.0
 
     theta = np.zeros(directions.shape[0])
     residual = left(theta)
     motions = _free_motions(model.outputs[coordinates:], model.decay, directions, at)
     columns = np.stack([(gains * motion / size[:, None]).ravel() for motion in motions], axis=1)
-    settled, exact = not moving, False
-    # Free motions without local forces nearly always lead there; else differences of the whole model do.
-    for turn in range(2 * _ITERATIONS):
-        if settled or not (np.isfinite(columns).all() and np.isfinite(residual).all()):
+    exact, last = False, np.inf
+    # Free motions without local forces lead there fast, or differences of the whole model do, which cost a run each.
+    for _ in range(_ITERATIONS if moving else 0):
+        if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
             break
-        before = residual
-        theta, residual, settled = stepped(theta, residual, columns)
-        stuck = residual is before
-        if stuck and exact:
+        theta, residual, step = stepped(theta, residual, columns, _HALVINGS if exact else 0)
+        if 0.0 < step < _SETTLED or (exact and step == 0.0):
             break
-        if stuck or turn >= _ITERATIONS - 1:
+        if not exact and (step == 0.0 or _turns_left(step, last) > theta.size):
             columns, exact = differences(theta, residual), True
+        last = step
     if not (np.isfinite(columns).all() and np.isfinite(residual).all()):
         return nothing
     free = np.stack([without_zeros(column) for column in columns.T], axis=1)
@@ -117,6 +118,14 @@ def initial_state(
     precision = free.T @ free / max(scatter, 1e-18) + np.eye(theta.size)
     errors = np.linalg.cholesky(np.linalg.inv(precision)).T @ directions
     return InitialState(theta @ directions, errors)
+
+
+def _turns_left(step: float, last: float) -> float:
+    """Further steps until they are small enough, if each is to the one before as the last two."""
+    ratio = step / last
+    if ratio >= 1.0:
+        return np.inf
+    return float(np.log(_SETTLED / step) / np.log(ratio)) if ratio > 0.0 else 1.0
 
 
 def _free_motions(

@@ -17,7 +17,7 @@ from nmt_diagnose.measurements.measurement import Measurement, Observations, loc
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.lateness import lateness
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
-from nmt_diagnose.prediction.resting_motion import Motion, mode_under_test
+from nmt_diagnose.prediction.resting_motion import Motion, mode_under_test, ratio_if_far_off
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.assembly import ElectromechanicalSystem
 from nmt_rig.rig import BeamSection, ChainSection, ForceSection, Rig
@@ -225,13 +225,7 @@ def as_measured(
             for name, size in test.measured_sizes(observations, number, drive).items()
             if name in names and abs(amplitudes[names.index(name)]) > 0.0
         ]
-        ratio = float(np.median(ratios)) if ratios else 1.0
-        factor = (
-            ratio
-            if ratio > 0.0
-            and not 1.0 / THRESHOLDS.prediction.far_off_ratio <= ratio <= THRESHOLDS.prediction.far_off_ratio
-            else 1.0
-        )
+        factor = ratio_if_far_off(ratios)
         result.append((parts, omega, drive, amplitudes * factor, unknowns * factor))
     return result
 

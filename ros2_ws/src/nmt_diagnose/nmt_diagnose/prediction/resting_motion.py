@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.linalg import eigh
 
@@ -11,6 +13,7 @@ from nmt_diagnose.prediction.parts_cache import PartsCache, Setup
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.prediction.rig_parts import RigParts, resting_tangent
 from nmt_diagnose.prediction.rig_tables import GAIN
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_system
@@ -126,3 +129,9 @@ def mode_under_test(rig: Rig) -> float:
     if not frequencies.size:
         return 1.0
     return float(frequencies[min(max(rig.test.mode, 1), frequencies.size) - 1])
+
+
+def ratio_if_far_off(ratios: Sequence[float]) -> float:
+    """Median of measured motions over those of a model; 1 where the model is off by less than a factor, or without."""
+    ratio, limit = float(np.median(ratios)) if ratios else 1.0, THRESHOLDS.prediction.far_off_ratio
+    return ratio if ratio > 0.0 and not 1.0 / limit <= ratio <= limit else 1.0

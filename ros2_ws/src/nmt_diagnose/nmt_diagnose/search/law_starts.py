@@ -10,6 +10,7 @@ import numpy as np
 from nmt_core.errors import BenchError
 from nmt_core.numerics.arrays import FloatArray
 from nmt_diagnose.effects.effect import Candidate
+from nmt_diagnose.effects.structure_effects import BELOW
 from nmt_diagnose.fit.best_fit import StartName, likelihood, spread_at
 from nmt_diagnose.fit.explanations import FittedExplanation, best_of
 from nmt_diagnose.fit.fitting import ON_THE_WAY, Start
@@ -25,12 +26,20 @@ _LARGEST_LOG = 8.0  # of a shape over its scale: beyond it the start says nothin
 
 
 def law_of(rig: Rig, observations: Observations) -> LawReading | None:
-    """The law of held levels, else of records of an imposed motion, else of driven ones; None without one."""
-    try:
-        held = read_law(rig, observations) or read_record_law(rig, observations)
-        return held or read_driven_law(rig, observations)
-    except (BenchError, ArithmeticError, np.linalg.LinAlgError):
-        return None
+    """The law of held levels, else of records of an imposed motion, else of driven ones; None without one.
+
+    What tells no law hides none that others tell.
+    """
+    found = []
+    for read in (read_law, read_record_law, read_driven_law):
+        try:
+            reading = read(rig, observations)
+        except (BenchError, ArithmeticError, np.linalg.LinAlgError):
+            continue
+        if reading is not None and reading.is_stated:
+            return reading
+        found += [] if reading is None else [reading]
+    return next((reading for reading in found if reading.laws), found[0] if found else None)
 
 
 def with_laws(search: Search, null: FittedExplanation, reading: LawReading | None) -> list[FittedExplanation]:
@@ -102,19 +111,22 @@ def _late_channel(candidates: Sequence[Candidate], reading: LawReading) -> tuple
 
 def _start(candidates: Sequence[Candidate], law: LocalLaw) -> tuple[Candidate, FloatArray] | None:
     """The effect of the library that a law is, with its parameters; None where it has none."""
-    for name, values in effects_of_law(law):
+    orders = {(one.point, one.other_point): effects_of_law(one) for one in (law, law.reversed)}
+    for number, (name, _) in enumerate(effects_of_law(law)):
         for candidate in candidates:
-            site = candidate.site
-            places = {(site.point, site.other_point), (site.other_point, site.point)}
-            if candidate.effect.name == name and (law.point, law.other_point) in places and site.option == "":
-                theta = parameters_at(candidate, values)
-                if theta is not None:
-                    return candidate, theta
+            site, effect = candidate.site, candidate.effect
+            found = orders.get((site.point, site.other_point))
+            if found is None or effect.name != name or site.option != "":
+                continue
+            values = found[number][1]
+            theta = parameters_at(candidate, values)
+            if theta is not None and (effect.form == BELOW) == (BELOW in values):
+                return candidate, theta
     return None
 
 
 def effects_of_law(law: LocalLaw) -> list[tuple[str, Mapping[str, float]]]:
-    """Names of effects with parameters by name, the strongest term of the law first."""
+    """Names of effects with parameters by name, the strongest term of the law first; a stop below says so, too."""
     sliders = [
         term for term in law.at_middle if term.kind in ("slider", "slack slider", "bristle", "weakening bristle")
     ]
@@ -147,10 +159,11 @@ def _of_term(term: LawTerm) -> list[tuple[str, Mapping[str, float]]]:
     if unit.form.effect is not None:
         found = unit.form.effect(term.coefficient, unit.first)
         return [] if found is None else [found]
-    if unit.section is None or unit.section.effect is None or unit.second < 0.0:
+    if unit.section is None or unit.section.effect is None:
         return []
     effect, keys = unit.section.effect, unit.values(term.coefficient)
-    return [(effect.name, {name: keys[key] for name, key in effect.parameters.items()})]
+    below = {BELOW: 1.0} if unit.below else {}
+    return [(effect.name, {name: keys[key] for name, key in effect.parameters.items()} | below)]
 
 
 def parameters_at(candidate: Candidate, values: Mapping[str, float]) -> FloatArray | None:

@@ -42,6 +42,7 @@ from nmt_rig.rig import Rig
 _CONTINUATIONS = 3
 # Little, and more than rounding.
 _INITIAL_STRENGTH = 0.01
+_STARTS = 4  # of a candidate
 
 Progress = Callable[[str], None]
 """Is called with what is being done, a sentence."""
@@ -514,7 +515,7 @@ class Search:
             wanted = self.chosen(
                 single, scores, THRESHOLDS.search.second_effects, 1, THRESHOLDS.search.second_cost_fall
             )
-            found += self._added(single, wanted)
+            found += self._from_other_starts(single, self._added(single, wanted), scores)
         return best_of(found)
 
     def pruned(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
@@ -527,14 +528,17 @@ class Search:
             weak = [k for k in range(len(pair.candidates)) if pair.strength(k) < THRESHOLDS.search.weak_sigmas]
             if len(pair.candidates) != 2 or len(weak) != 1:
                 continue
-            kept = 1 - weak[0]
-            fitted = pair.fit.parametrisation
-            parametrisation = self.parametrisation((pair.candidates[kept],), (fitted.spread(kept),))
-            theta = np.concatenate([pair.fit.theta[: len(self.parameters)], pair.fit.theta[fitted.index_of(kept)]])
-            alone = self.best(parametrisation, [Start(StartName.ALONE, theta, pair.fit)])
+            alone = self._alone(pair, 1 - weak[0])
             if alone is not None and alone.fit.log_evidence > pair.fit.log_evidence:
                 result.append(alone)
         return sorted(result, key=lambda pair: -pair.fit.log_evidence)
+
+    def _alone(self, pair: FittedExplanation, kept: int) -> FittedExplanation | None:
+        """One effect of an explanation, fitted from where it is there."""
+        fitted = pair.fit.parametrisation
+        parametrisation = self.parametrisation((pair.candidates[kept],), (fitted.spread(kept),))
+        theta = np.concatenate([pair.fit.theta[: len(self.parameters)], pair.fit.theta[fitted.index_of(kept)]])
+        return self.best(parametrisation, [Start(StartName.ALONE, theta, pair.fit)])
 
     def with_small_effects(
         self, leading: FittedExplanation, others: Sequence[FittedExplanation]
@@ -563,6 +567,23 @@ class Search:
     def _added(self, base: FittedExplanation, wanted: Sequence[Score]) -> list[FittedExplanation]:
         found = [self.with_added(base, score) for score in wanted]
         return best_of([explanation for explanation in found if explanation is not None])
+
+    def _from_other_starts(
+        self, base: FittedExplanation, found: Sequence[FittedExplanation], scores: Sequence[Score]
+    ) -> list[FittedExplanation]:
+        """Explanations by a candidate on top of a fit, the best fitted to the end.
+
+        Where that leaves more than noise, it is fitted from the other starts of its candidate, too: a stiff contact
+        that sticks or slides everywhere, for example, leads nowhere.
+        """
+        if not found:
+            return []
+        best = self.refit(found[0])
+        others: list[Score] = []
+        if self.exceeds_noise(best.fit):
+            number = self.candidates.index(best.candidates[-1])
+            others = [score for score in scores if score.candidate == number][1:_STARTS]
+        return [best, *found[1:], *self._added(base, others)]
 
     def from_modes(self, modes: LowLevelModes) -> list[FittedExplanation]:
         """Explanations by one effect, fitted from where the model's modes are the measured ones; the best first."""

@@ -199,12 +199,12 @@ def test_errors_of_other_modes_are_what_a_moved_model_makes_of_a_law() -> None:
 
 
 @pytest.mark.parametrize(
-    ("held", "driven", "told"),
+    ("held", "driven", "expected"),
     [("empty", "stated", "driven"), ("refused", "stated", "driven"), ("stated", "stated", "held"),
      ("empty", "refused", "driven"), ("refused", "refused", "held"), ("empty", "empty", "held"),
      ("none", "stated", "driven"), ("fails", "stated", "driven"), ("none", "none", None)],
 )  # fmt: skip
-def test_a_reading_without_a_law_hides_none(held: str, driven: str, told: str | None) -> None:
+def test_a_reading_without_a_law_hides_none(held: str, driven: str, expected: str | None) -> None:
     """Of held levels and of driven records of the same specimen."""
     law = reading.LocalLaw(1, 0, "dry friction", (), 1e-3, (), ())
 
@@ -221,4 +221,4 @@ def test_a_reading_without_a_law_hides_none(held: str, driven: str, told: str | 
         for name, how in (("read_law", held), ("read_record_law", "none"), ("read_driven_law", driven)):
             patch.setattr(law_starts, name, read("held" if name == "read_law" else "driven", how))
         found = law_starts.law_of(None, None)  # type: ignore[arg-type]
-    assert (None if found is None else found.test) == told
+    assert (None if found is None else found.test) == expected

@@ -480,6 +480,23 @@ def second_effects(gain: float = 100.0) -> tuple[int, int]:
     return len(heads), heads[0]
 
 
+@pytest.mark.parametrize(("noisy", "tried"), [(True, [1, 3]), (False, [])])
+def test_where_the_best_second_effect_leaves_more_than_noise_its_other_starts_are_tried(
+    noisy: bool, tried: list[int]
+) -> None:
+    search = Searched(2, 1)
+    search.refit, search.exceeds_noise = lambda explanation: explanation, lambda fit: noisy
+    wanted: list[float] = []
+    search._added = lambda base, starts: wanted.extend(score.gain for score in starts) or [fitted("other start")]
+    first = fitted("effect 0")
+    first.candidates = (search.candidates[1], search.candidates[0])
+    starts = [Score(number, np.zeros(1), gain, 1.0, np.zeros(1)) for number, gain in ((0, 5), (1, 4), (0, 1), (0, 3))]
+    found = Search._from_other_starts(search, fitted("base"), [first, fitted("second")], starts)  # type: ignore[arg-type]
+    assert wanted == tried
+    assert found[0] is first
+    assert Search._from_other_starts(search, fitted("base"), [], starts) == []  # type: ignore[arg-type]
+
+
 def asked_beside_noise(gain: float, of_records: bool = True) -> int:
     """Explanations that second effects are added to where the first leaves noise only, by what a second promises."""
     search = Searched(9, 1)

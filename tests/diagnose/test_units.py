@@ -175,8 +175,8 @@ def test_the_odd_one_and_the_one_without_the_effect_are_named():
 def test_units_that_a_law_tells_and_a_channel_in_another_unit_are_named():
     law = LocalLaw(3, 0, "dry friction", (), 1e-3, (), ())
     reading = LawReading("leg", 5, (law,), 9.0, 1.0, 0.9, 0.9, (), closed_by_file=0.8)
-    told = replace(diagnosis(Verdict.UNKNOWN), law=reading, law_leads=True)
-    lawful = [UnitDiagnosis(f"leg {k}", "", told) for k in (1, 2)]
+    lawful_one = replace(diagnosis(Verdict.UNKNOWN), law=reading, law_leads=True)
+    lawful = [UnitDiagnosis(f"leg {k}", "", lawful_one) for k in (1, 2)]
     words = "a force like dry friction (point 3), which no effect of the library explains"
     assert unit_group(lawful, "").sentences[0] == f"All 2 units: one force for all, {words}."
     sentence = "leg_3: f1 is 4.45 times what the model predicts: lbf?"

@@ -528,17 +528,14 @@ class Search:
             weak = [k for k in range(len(pair.candidates)) if pair.strength(k) < THRESHOLDS.search.weak_sigmas]
             if len(pair.candidates) != 2 or len(weak) != 1:
                 continue
-            alone = self._alone(pair, 1 - weak[0])
+            kept = 1 - weak[0]
+            fitted = pair.fit.parametrisation
+            parametrisation = self.parametrisation((pair.candidates[kept],), (fitted.spread(kept),))
+            theta = np.concatenate([pair.fit.theta[: len(self.parameters)], pair.fit.theta[fitted.index_of(kept)]])
+            alone = self.best(parametrisation, [Start(StartName.ALONE, theta, pair.fit)])
             if alone is not None and alone.fit.log_evidence > pair.fit.log_evidence:
                 result.append(alone)
         return sorted(result, key=lambda pair: -pair.fit.log_evidence)
-
-    def _alone(self, pair: FittedExplanation, kept: int) -> FittedExplanation | None:
-        """One effect of an explanation, fitted from where it is there."""
-        fitted = pair.fit.parametrisation
-        parametrisation = self.parametrisation((pair.candidates[kept],), (fitted.spread(kept),))
-        theta = np.concatenate([pair.fit.theta[: len(self.parameters)], pair.fit.theta[fitted.index_of(kept)]])
-        return self.best(parametrisation, [Start(StartName.ALONE, theta, pair.fit)])
 
     def with_small_effects(
         self, leading: FittedExplanation, others: Sequence[FittedExplanation]

@@ -222,7 +222,7 @@ def bristle(size: float, reach: float) -> Callable[[float, float], float]:
     return torque
 
 
-@pytest.mark.parametrize(("reach", "noise"), with_quick([(0.001, 1e-5), (0.003, 1e-4)], (0.003, 1e-4)))
+@pytest.mark.parametrize(("reach", "noise"), with_quick([(0.001, 1e-5), (0.003, 1e-4), (0.05, 1e-4)], (0.003, 1e-4), (0.05, 1e-4)))
 def test_friction_that_builds_up_over_an_angle_is_told_with_it(tmp_path: Path, reach: float, noise: float) -> None:
     """The bristle is integrated with the motion, the diagnosis has its state from the logged angle alone."""
     np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.0, noise=noise, more=bristle(0.5, reach)))
@@ -230,7 +230,7 @@ def test_friction_that_builds_up_over_an_angle_is_told_with_it(tmp_path: Path, r
     (joint,) = diagnosis.joints
     (term,) = [term for term in joint.terms if term.differs]
     assert term.text().startswith("friction builds up over")
-    assert abs(term.value - 1e3 * reach) < 2.5 * term.std < 0.4
+    assert abs(term.value - 1e3 * reach) < 2.5 * term.std < max(0.4, 50.0 * reach)
     assert joint.left < 0.3 * joint.plain
     assert joint.mechanics is not None
     share = joint.mechanics.share("creep")
@@ -249,8 +249,8 @@ def test_a_replay_has_the_state_of_friction_that_builds_up(tmp_path: Path) -> No
 
 def test_a_joint_that_sticks_does_not_creep(tmp_path: Path) -> None:
     asked = problem(tmp_path)
-    assert not any(effect.reach for effect in asked.rivals)
     assert np.array_equal(asked._rows, asked.motion.moving[:, 0])
+    assert "creep" not in explain(asked, IN_MODEL).causes
 
 
 def test_a_cause_that_leaves_much_is_named_in_part(tmp_path: Path) -> None:

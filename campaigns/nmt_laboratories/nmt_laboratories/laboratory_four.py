@@ -59,8 +59,8 @@ SHARED = {
 }
 """Words of all joints together that name a cause at a joint; a heavier last link is a payload at its centre."""
 UNKNOWN = ("temperature", "band", "hose")
-NAMED: dict[str, tuple[str, ...]] = {"temperature": ("changing_friction",)}
-"""Terms that name what no row of the library has as a whole."""
+NAMED: dict[str, tuple[str, ...]] = {"temperature": ("changing_friction",), "hose": ("creep", "coulomb")}
+"""Terms that name what no row of the library has as a whole; a hose is friction that builds up over an angle."""
 ROBOTS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "arm": (("base", "shoulder", "elbow"), ("0 0 1", "0 1 0", "0 1 0")),
     "leg": (("hip", "thigh", "calf"), ("1 0 0", "0 1 0", "0 1 0")),

@@ -22,8 +22,8 @@ _WARMING = (0.1, 0.2, 0.35, 0.7)
 _LARGEST_MASS = 1.0
 """Of a link, as a share of it, that it may carry or lack."""
 
-REACHES = np.geomspace(5e-4, 8e-3, 13)
-"""Angles over which friction may build up, rad."""
+REACHES = np.geomspace(5e-4, 0.1, 24)
+"""Angles over which friction may build up, rad: from asperities of a bearing to hoses and cables."""
 _FINEST = 8.0
 """Multiple of an encoder's noise below which the log does not resolve an angle."""
 

@@ -177,9 +177,7 @@ class JointProblem:
         self.left = self._every[self._rows]
         self._change = np.gradient(smooth, motion.step_s)[self._rows]
         self.blocks = motion.blocks[self._rows]
-        every = rival_effects(motion, joint, drive.through(motion.smooth), names)
-        if np.any(self._rows & ~motion.moving[:, joint]):
-            every += creeping
+        every = [*rival_effects(motion, joint, drive.through(motion.smooth), names), *creeping]
         # A velocity gain next to a commanded speed of zero, or the inertia of a single link: it is named with the usual
         # effect that has the same column, and is not a rival of it.
         twins = self._twins(every)
@@ -206,8 +204,8 @@ class JointProblem:
                 known = every & ~test
                 left[test] = self._every[test] - matrix[test] @ np.linalg.lstsq(matrix[known], self._every[known])[0]
             lefts.append((_rms(left[slow]), _rms(left[every & moving])))
-        plain, best = lefts[0], min(lefts[1:])
-        explained = best[0] < (1.0 - THRESHOLDS.gives_way / 2.0) * plain[0] and best[0] < _AS_ROWS_THAT_MOVE * best[1]
+        least = (1.0 - THRESHOLDS.gives_way / 2.0) * lefts[0][0]
+        explained = any(still < least and still < _AS_ROWS_THAT_MOVE * moves for still, moves in lefts[1:])
         return every if explained else moving
 
     def _twins(self, rivals: list[JointEffect]) -> list[JointEffect]:

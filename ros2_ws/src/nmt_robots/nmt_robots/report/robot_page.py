@@ -324,12 +324,12 @@ def _next(diagnosis: RobotDiagnosis) -> Markup:
 def _limits(diagnosis: RobotDiagnosis) -> Markup:
     rows = [
         ("armature or inertia of a link that turns alone", "not separable in any log", "weigh the link"),
-        ("friction that builds up over an angle", "named only with many slow reversals",
+        ("friction that builds up over a few mrad", "named only with many slow reversals",
          "slow reversals, two amplitudes"),
         ("torque constant, or mass, friction and armature scaled alike", "named only beyond their tolerances",
          "a known payload"),
-        ("effects of temperature, friction that depends on position, drag of hoses",
-         "no term of the library describes them", "the same motion when warm"),
+        ("effects of temperature, friction that depends on position", "no term of the library describes them",
+         "the same motion when warm"),
     ]  # fmt: skip
     if diagnosis.log.is_arithmetic:
         rows.insert(1, ("velocity gain or viscous friction", "not separable where the torque is computed",

@@ -356,6 +356,8 @@ def joint_verdict(
             relative = 0.0 if share.effect.reach else std / max(abs(size), 1e-300)
             std = float(np.hypot(share.stated.std, abs(share.stated.size) * relative))
             words, size, unit = share.stated.words, share.stated.size, share.stated.unit
+            # How far friction falls is the effect; over which angle it builds up is not.
+            differs = differs and (share.effect.reach > 0.0 or abs(size) > THRESHOLDS.certain * share.stated.std)
         alike, equal = (tuple(map(joint.units, names)) for names in (share.alike, share.equal))
         terms.append(
             JointTerm(key, joint.units(words), joint.units(unit), size, std, reference, part, differs, alike, equal,

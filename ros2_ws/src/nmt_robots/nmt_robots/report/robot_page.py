@@ -324,7 +324,7 @@ def _next(diagnosis: RobotDiagnosis) -> Markup:
 def _limits(diagnosis: RobotDiagnosis) -> Markup:
     rows = [
         ("armature or inertia of a link that turns alone", "not separable in any log", "weigh the link"),
-        ("friction that builds up over a few mrad", "named only with many slow reversals",
+        ("friction that builds up over a short way", "named only with many slow reversals",
          "slow reversals, two amplitudes"),
         ("torque constant, or mass, friction and armature scaled alike", "named only beyond their tolerances",
          "a known payload"),

@@ -222,7 +222,9 @@ def bristle(size: float, reach: float) -> Callable[[float, float], float]:
     return torque
 
 
-@pytest.mark.parametrize(("reach", "noise"), with_quick([(0.001, 1e-5), (0.003, 1e-4), (0.05, 1e-4)], (0.003, 1e-4), (0.05, 1e-4)))
+@pytest.mark.parametrize(
+    ("reach", "noise"), with_quick([(0.001, 1e-5), (0.003, 1e-4), (0.05, 1e-4)], (0.003, 1e-4), (0.05, 1e-4))
+)
 def test_friction_that_builds_up_over_an_angle_is_told_with_it(tmp_path: Path, reach: float, noise: float) -> None:
     """The bristle is integrated with the motion, the diagnosis has its state from the logged angle alone."""
     np.savez(tmp_path / "log.npz", **log_columns(coulomb=0.0, noise=noise, more=bristle(0.5, reach)))

@@ -111,6 +111,7 @@ def test_what_was_steered_is_shown_with_its_sample(tmp_path: Path) -> None:
     assert "sample 1" in head["acts"][0]
 
 
+@pytest.mark.campaign
 def test_a_response_curve_grows_with_the_stability_of_its_points(tmp_path: Path) -> None:
     curve = {"test": "response_curve", "lag_deg": (70.0, 150.0), "spacing": 0.45, "ramp": 0.3, "window_periods": 12}
     view = LiveView()

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from independent.epmc_of_masses import Masses
 from scipy.interpolate import CubicSpline
+from tiers import with_quick
 
 from nmt_core.vocabulary import PointStatus
 from nmt_extract.judgement.channel_history import ChannelHistory
@@ -108,7 +109,7 @@ def points_with(windows: Any, row: int, gain: float, **changes: Any) -> Any:
     return points
 
 
-@pytest.mark.parametrize("gain", [0.9, 1.1])
+@pytest.mark.parametrize("gain", with_quick([0.9, 1.1], 1.1))
 @pytest.mark.parametrize("name", ["a1", "a2", "a3"])
 def test_a_gain_beside_a_shape_that_moves_is_named_at_every_level(windows: Any, name: str, gain: float) -> None:
     found, healthy = windows
@@ -131,6 +132,7 @@ def test_a_gain_beside_a_shape_that_moves_is_named_at_every_level(windows: Any, 
     assert "Mode 2 at 30.029 Hz takes part by 3" in points[-1].reason
 
 
+@pytest.mark.campaign
 def test_a_run_with_a_gain_meets_the_nonlinear_mode_all_the_same(rig: str) -> None:
     """The loop measures by the same channel."""
     modes = Masses(MASS, DAMPING, STIFFNESS, np.array([1.0, 0.0, 0.0]), 1e7).modes(0, 0.01, 0.06)

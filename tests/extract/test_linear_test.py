@@ -154,6 +154,7 @@ def test_a_rig_held_firmly_has_no_suspension_mode(beam):
     assert not beam[2].suspension_below_band
 
 
+@pytest.mark.campaign
 def test_scatter_over_seeds_is_the_stated_uncertainty():
     errors = []
     exact = linear_description(load_rig("joint_resonator"))

@@ -232,7 +232,8 @@ def test_a_stranger_sees_and_reaches_nobody(wire, forms, start: str, form: str) 
     assert {address for address, _ in bench["sockets"]} == {"0100007F"}
 
 
-@pytest.mark.parametrize("form", ["static peers", pytest.param("peer list in XML", marks=pytest.mark.campaign)])
+@pytest.mark.campaign
+@pytest.mark.parametrize("form", ["static peers", "peer list in XML"])
 def test_without_the_profile_the_stranger_drives(wire, forms, form: str) -> None:
     """The attack works where nothing stops it, so the test above can fail."""
     open_to_all = {"NMT_TRANSPORT": "own", "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}

@@ -253,12 +253,16 @@ def test_output_and_input_that_share_no_clock_are_said(ppm):
 
 @pytest.mark.parametrize(
     ("kind", "tells", "seconds", "delay"),
-    [
+    with_quick(
+        [
+            ("portaudio", True, 0.03, 37),
+            ("portaudio", False, 0.03, 237),
+            ("portaudio", True, 0.03, 737),
+            ("nidaqmx", True, 0.2, 37),
+        ],
         ("portaudio", True, 0.03, 37),
-        ("portaudio", False, 0.03, 237),
-        ("portaudio", True, 0.03, 737),
         ("nidaqmx", True, 0.2, 37),
-    ],
+    ),
 )
 def test_every_gap_is_marked_and_nothing_else(kind, tells, seconds, delay):
     """The owner is stopped now and then: a block that is given is, to the sample, what was put out."""

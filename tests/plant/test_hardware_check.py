@@ -119,24 +119,19 @@ def test_two_faults_at_once_are_both_named(rig):
 
 @pytest.mark.parametrize(
     ("faults", "expected"),
-    [
+    with_quick(
+        [
+            ("delay permuted:x5", {("delay", ()), ("permuted", ("x5", "x6"))}),
+            ("permuted:x4 overload:x4", {("overload", ("x4",)), ("permuted", ("x4", "x6"))}),
+            ("permuted:x5 sensitivity:x5", {("permuted", ("x5", "x6")), ("sensitivity", ("x5",))}),
+            ("force_response resonance", {("force_response", ("f2", "x2")), ("resonance", ())}),
+            ("delay resonance", {("delay", ()), ("resonance", ())}),
+            ("delay sensitivity:x2", {("delay", ()), ("sensitivity", ("x2",))}),
+            ("permuted:x5 short:x6", {("short", ("x6",)), ("permuted", ("x5", "x6"))}),
+            ("open:x5 sensitivity:x6", {("open", ("x5",)), ("sensitivity", ("x6",))}),
+        ],
         ("delay permuted:x5", {("delay", ()), ("permuted", ("x5", "x6"))}),
-        ("permuted:x4 overload:x4", {("overload", ("x4",)), ("permuted", ("x4", "x6"))}),
-        pytest.param(
-            "permuted:x5 sensitivity:x5",
-            {("permuted", ("x5", "x6")), ("sensitivity", ("x5",))},
-            marks=pytest.mark.campaign,
-        ),
-        ("force_response resonance", {("force_response", ("f2", "x2")), ("resonance", ())}),
-        pytest.param("delay resonance", {("delay", ()), ("resonance", ())}, marks=pytest.mark.campaign),
-        pytest.param("delay sensitivity:x2", {("delay", ()), ("sensitivity", ("x2",))}, marks=pytest.mark.campaign),
-        pytest.param(
-            "permuted:x5 short:x6", {("short", ("x6",)), ("permuted", ("x5", "x6"))}, marks=pytest.mark.campaign
-        ),
-        pytest.param(
-            "open:x5 sensitivity:x6", {("open", ("x5",)), ("sensitivity", ("x6",))}, marks=pytest.mark.campaign
-        ),
-    ],
+    ),
 )
 def test_a_fault_does_not_hide_another(rig, faults, expected):
     """A delay that moves, a dead channel among exchanged ones, a wrong gain or other frequencies besides."""
@@ -144,7 +139,7 @@ def test_a_fault_does_not_hide_another(rig, faults, expected):
     assert {(each.name, each.channels) for each in result.findings} == expected
 
 
-@pytest.mark.parametrize("text", ["", "offset:x4"])
+@pytest.mark.parametrize("text", with_quick(["", "offset:x4"], "offset:x4"))
 def test_a_few_lost_blocks_make_no_finding(rig, text):
     """In silence and under drive; what stands in the buffer of a lost block is old or zero."""
     section = device_of(rig, "portaudio")

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.processes.steady_clock import SteadyClock
@@ -288,7 +289,7 @@ def test_what_fails_in_a_driver_is_said(laboratory: Path) -> None:
         device.close()
 
 
-@pytest.mark.parametrize("broken", [False, True])
+@pytest.mark.parametrize("broken", with_quick([False, True], True))
 def test_a_check_of_the_converter_alone_asks_for_the_monitor_as_a_run_does(broken: bool, laboratory: Path) -> None:
     driver = laboratory.parent / "laboratory_driver.py"
     if broken:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from plant.converter_chain import BLOCK, KINDS, OWNER, RATE, chain
 from plant.test_converters import close, end_of_the_plant, hang, quiet, told_to_end
+from tiers import with_quick
 
 from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
@@ -145,7 +146,7 @@ def test_a_measured_limit_at_either_exciter_takes_both_to_zero(kind, row, ratio)
 
 
 @both
-@pytest.mark.parametrize("row", [0, 1])
+@pytest.mark.parametrize("row", with_quick([0, 1], 1))
 @pytest.mark.parametrize("bad", [np.nan, 60.0])
 def test_a_sample_beyond_the_limit_at_either_output_takes_both_to_zero_from_there(kind, row, bad):
     """What is fed is not what a guard has seen: the process that owns the outputs looks once more."""

@@ -127,7 +127,7 @@ def four_levels(point: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", with_quick([1, 2, 3], 1))
-@pytest.mark.parametrize("point", [2, 6])
+@pytest.mark.parametrize("point", with_quick([2, 6], 2))
 def test_the_noise_of_the_paper_does_not_keep_it_from_locking(point, seed):
     bench = ClosedLoop(point, [*noise(), f"seed={seed}"])
     for amplitude, without in zip(four_levels(point), frequencies_without_noise(point), strict=True):

@@ -37,7 +37,7 @@ def deviation_with_dead_time(rate: float, dead: float, blocks: int) -> np.ndarra
 
 
 @pytest.mark.parametrize("exciters", [1, 2, 3])
-@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("latency", with_quick([0, 1, 3], 3))
 def test_every_force_is_an_integral_loop_with_dead_time_of_its_own(exciters, latency):
     plant = ForcePlant(exciters, latency)
     rate = plant.controller.rate

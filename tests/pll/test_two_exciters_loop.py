@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pll.stepped_loop import SteppedLoop
+from tiers import with_quick
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.messages.records import LevelCommand
@@ -58,7 +59,7 @@ def force_harmonics(bench, blocks=50):
     return (solution[:9] + 1j * solution[9:]).T[:, :HIGHEST]
 
 
-@pytest.mark.parametrize("factor", [1.0, 2.0, 0.5])
+@pytest.mark.parametrize("factor", with_quick([1.0, 2.0, 0.5], 2.0))
 def test_harmonics_of_both_forces_vanish_with_a_force_per_volt_that_is_twice_or_half(factor):
     bench = frame_loop(factor)
     run_level(bench, 0, 8.0)

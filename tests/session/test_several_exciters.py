@@ -78,6 +78,7 @@ def test_both_modes_of_the_frame_are_isolated(mode, latency):
         assert point.pbmif > 0.999
 
 
+@pytest.mark.campaign
 def test_one_exciter_does_not_isolate_it_and_its_pbmif_does_not_see_it():
     plan, result = measured("frame", [6.0], exciter=2)
     (point,) = result.points

@@ -18,7 +18,7 @@ AMPLITUDES = {
 }
 
 
-@pytest.mark.parametrize("name", list(AMPLITUDES))
+@pytest.mark.parametrize("name", with_quick(list(AMPLITUDES), "van_der_pol"))
 def test_backbones_with_a_damping_ratio_of_either_sign(name: str) -> None:
     q = AMPLITUDES[name]
     reference = compute_reference(load_rig(name), 15, q)

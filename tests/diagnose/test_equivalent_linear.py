@@ -155,10 +155,13 @@ def _predicted(rig: Rig, lines: NDArray[Any], drive: float, others: dict[int, fl
     ("element", "moves"),
     [
         ({"kind": "cubic_spring", "point": 1, "stiffness_n_m3": 2e9}, 0.1),
-        ({"kind": "power_law_damper", "point": 1, "coefficient_n_sp_mp": 20.0, "exponent": 1.5}, 0.2),
+        pytest.param(
+            {"kind": "power_law_damper", "point": 1, "coefficient_n_sp_mp": 20.0, "exponent": 1.5}, 0.2,
+            marks=pytest.mark.campaign,
+        ),
     ],
     ids=["cubic", "power law"],
-)
+)  # fmt: skip
 def test_a_random_response_of_a_nonlinear_oscillator(element: dict[str, Any], moves: float) -> None:
     lines = np.concatenate([np.arange(8.0, 18.0, 1.0), np.arange(18.0, 23.0, 0.25), np.arange(23.0, 40.0, 1.0)])
     rms = 1.0

@@ -99,6 +99,7 @@ def test_a_healthy_recording_has_no_gap() -> None:
     assert diagnosed(healthy("driven record")).verdict is Verdict.NONE
 
 
+@pytest.mark.campaign
 def test_no_gap_is_not_said_beside_half_a_signal() -> None:
     """A channel that shows something else than the model, in noise that is learnt from it."""
     observed = healthy("driven record")

@@ -196,7 +196,7 @@ def test_table_and_page_have_every_input(clean):
     first = dict(zip(columns, map(float, rows[40].split(",")), strict=True))
     assert first["a3_f2_hc_real"] == pytest.approx(test.force_frfs[1].hc[2, 40].real, rel=1e-8)
     page = linear_page(LinearTestResult(test, 1.0, None, {"rig": "pair", "run_id": "two-shakers"}, ()))
-    for text in ("two-shakers", "points 1, 2", "Receptance of point 3", "force at point 2", "of exciter 2"):
+    for text in ("two-shakers", "points 1, 2", "Receptance of point 3", "force at point 2", "exciter at point 2"):
         assert text in page
 
 

@@ -19,7 +19,7 @@ from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Verdict
 
 PAGE = "laser-and-current.md"
-RATE, OVER, SECONDS, FACTOR, MASS, RATIO, CUBIC = 2000, 2, 20, 16.0, 0.9, 0.004, 4e8
+RATE, OVER, SECONDS, FACTOR, MASS, RATIO, CUBIC = 2000, 2, 8, 16.0, 0.9, 0.004, 4e8
 OMEGA = 2.0 * math.pi * 58.0
 
 
@@ -57,6 +57,7 @@ def test_the_page_finds_the_stiffness(factor: float, tmp_path: Path) -> None:
     (tmp_path / "plate.yaml").write_text(written("plate.yaml", PAGE))
     sidecar = yaml.safe_load(written("scan.yaml", PAGE))
     sidecar["channels"][1]["force_factor"] = factor  # one and a quarter of its standard deviation off
+    sidecar["segments"][0]["stop"] = SECONDS
     (tmp_path / "scan.yaml").write_text(yaml.safe_dump(sidecar))
     import_data(tmp_path / "scan.yaml", tmp_path / "scan")
     settings = DiagnosisSettings(look_ahead=False)

@@ -26,6 +26,7 @@ def fragile(folder: str, number: int) -> int:
     return number * number
 
 
+@pytest.mark.campaign
 @pytest.mark.filterwarnings("ignore")
 def test_a_killed_worker_costs_no_result(tmp_path: Path) -> None:
     distributed = pytest.importorskip("distributed")

@@ -28,6 +28,7 @@ def test_silence_and_another_cause_are_not_the_same() -> None:
     assert compared([named("coulomb", 0.8), named("spring", 0.8)]) == (False, [])
 
 
+@pytest.mark.campaign
 def test_a_spring_is_named_whatever_the_lag_of_the_log(tmp_path: Path) -> None:
     """Half the gains, motion 20 ms late: a changed gain of the drive would take the lag's torque, and the spring."""
     case = make_logs(tmp_path, 12, 0.03)[0]

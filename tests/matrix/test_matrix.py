@@ -57,7 +57,7 @@ RELEASED: dict[str, Any] = {"levels": [9.6], "resonance": "1:3", "control": "for
 RELEASED_BY = ("force", "shaking_table")
 """Exciters that release it: a shaker does not come to phase resonance at that amplitude."""
 FIRST_TIER = "electrodynamic_shaker"
-CAMPAIGN_KINDS = (TestKind.SELF_EXCITED, TestKind.SECONDARY_RESONANCE)
+CAMPAIGN_KINDS = (TestKind.SELF_EXCITED, TestKind.RESPONSE_CURVE, TestKind.SECONDARY_RESONANCE)
 """The row of an exciter protects a change; those of the other exciters and of these kinds are campaigns."""
 
 

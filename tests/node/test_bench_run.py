@@ -331,7 +331,7 @@ def test_what_ends_extraction_from_the_bag_as_well_costs_no_point_that_came(
     assert run["result"]["points"] == {"count": 1, "not_live": [2]}
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.campaign
 def test_points_that_do_not_come_are_missed_by_name(tmp_path: Path) -> None:
     """Extraction lives on and says nothing of two levels: no success, and the table is whole all the same."""
     values = {"sequencer": {"points_timeout": 1.0}}

@@ -23,6 +23,7 @@ from node.converter_demo import MOST_DAMPING, MOST_FREQUENCY, compare
 from node.converter_excitations import compare as excitations
 from node.converter_faults import attempt, processes, until_locked
 from node.converter_gaps import stream
+from tiers import with_quick
 
 LOST = re.compile(
     r"loses samples again and again|had lost samples|are missing from the window|samples lost in [1-9]|gaps [1-9]"
@@ -54,7 +55,7 @@ def or_losses_are_named(said: str = "") -> Iterator[None]:
         pytest.skip(f"the computer lost samples, and it is said: '{found.group()}'")
 
 
-@both
+@pytest.mark.parametrize("kind", with_quick(KINDS, "nidaqmx"))
 def test_a_short_stream(kind, tmp_path):
     """A start finds the delay, every block that is given is what was put out, the output ends at zero."""
     with or_losses_are_named():

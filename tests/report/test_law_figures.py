@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw
 from nmt_diagnose.law.record_check import RecordCheck
 from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_report.diagnosis_report import diagnosis_page
-from nmt_report.figure_files import write_figures
 from nmt_report.figure_record import unpacked
 
 ANGLES = 2.0 * np.pi * np.arange(64) / 64
@@ -107,7 +105,7 @@ def test_formulas_name_side_and_size() -> None:
     assert as_read("weakening friction", (1e-3, 0.05)) == "tanh(v / 0.001 m/s) exp(−(v / 0.05 m/s)²)"
 
 
-def test_a_part_that_was_left_out_is_drawn_with_its_law_and_the_remainders(tmp_path: Path) -> None:
+def test_a_part_that_was_left_out_is_drawn_with_its_law_and_the_remainders() -> None:
     check = RecordCheck(
         "record", (1.0, 1.1, 1.3), (0.4, -0.2, 0.3), 0.02, (1.0, 1.1, 1.2, 1.3), (0.39, -0.21, 0.0, 0.31),
         (0.0, 0.1, 0.2), (1.0, 0.8, -0.6), (1.0, 0.01, -0.02), 0.04,
@@ -123,9 +121,3 @@ def test_a_part_that_was_left_out_is_drawn_with_its_law_and_the_remainders(tmp_p
     drawn = {series["label"]: series for series in lags["series"]}
     assert drawn["without the law"]["y"] == pytest.approx(check.without)
     assert drawn["with it"]["y"] == pytest.approx(check.with_law)
-    # All figures of the page become files, the drawing of the rig among them.
-    report = tmp_path / "report.html"
-    report.write_text(made, encoding="utf-8")
-    files = write_figures(report, tmp_path, formats=("svg",))
-    assert {"place", "law-0", "law-check"} <= {path.stem for path in tmp_path.glob("*.svg")}
-    assert len(files) == len(list(tmp_path.glob("*.svg")))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from robots.simulated_joint import diagnosed_pendulum, log_columns, robot_file
+from tiers import with_quick
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
 
@@ -86,7 +87,9 @@ def test_a_reading_that_is_a_little_worse_fits_as_well_up_to_its_limit(monkeypat
         assert len(scores.fit_as_well()) == count
 
 
-@pytest.mark.parametrize(("factor", "named"), [(1.0 + 0.8 * 0.02, False), (1.0 + 1.3 * 0.02, True)])
+@pytest.mark.parametrize(
+    ("factor", "named"), with_quick([(1.0 + 0.8 * 0.02, False), (1.0 + 1.3 * 0.02, True)], (1.0 + 1.3 * 0.02, True))
+)
 def test_a_factor_of_a_speed_is_told_beyond_its_limit(tmp_path: Path, factor: float, named: bool) -> None:
     assert velocity.THRESHOLDS.velocity_gain == 0.02
     columns: dict[str, Any] = log_columns()

@@ -52,6 +52,7 @@ def the_curve(points) -> ResponseCurve:
     return curve
 
 
+@pytest.mark.campaign
 def test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end(measured):
     points, bag = measured
     assert all(point.status is PointStatus.OK for point in points), [point.reason for point in points]
@@ -69,6 +70,7 @@ def test_a_curve_that_turns_back_over_the_lag_is_followed_to_its_end(measured):
     assert all(one.identical(other) for one, other in zip(again, points, strict=True))
 
 
+@pytest.mark.campaign
 def test_its_stability_is_that_of_the_variational_equation(measured):
     curve = the_curve(measured[0])
     assert len(curve.folds) == 1

@@ -36,6 +36,7 @@ def measured(factor: float, levels, tmp_path, refinement: float):
     return points, acts, tmp_path / "run" / "bag"
 
 
+@pytest.mark.campaign
 def test_levels_are_put_in_where_the_backbone_bends_and_the_bag_knows_them(tmp_path):
     points, acts, bag = measured(0.5, PLAN, tmp_path, 5e-4)
     levels = [point.level for point in points]

@@ -45,6 +45,7 @@ def errors(name: str, points: list[ModalPoint]) -> tuple[np.ndarray, np.ndarray]
     return measured[:, 0] / omega[place] - 1.0, measured[:, 1] - damping[place]
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize(
     ("name", "latency", "noise"),
     [

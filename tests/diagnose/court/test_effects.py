@@ -79,6 +79,7 @@ def test_air_drag_is_named() -> None:
     assert "air_drag" in (found.ranking[0].effect, *found.ranking[0].equivalents)
 
 
+@pytest.mark.campaign
 @pytest.mark.court(said="effect")
 def test_a_gain_of_a_fifth_is_named_with_its_channel() -> None:
     found = diagnosed(chain_rig(), chain_tables(6, 1.0, (1.0, 1.2, 1.0)))

@@ -36,7 +36,8 @@ def reading(*refusals: str) -> LawReading:
 
 def page(found: LawReading | None) -> str:
     report = fixture.report(Verdict.UNKNOWN, fixture.one_test())
-    return diagnosis_page(replace(report, diagnosis=replace(report.diagnosis, law=found)))
+    leads = found is not None and found.is_written
+    return diagnosis_page(replace(report, diagnosis=replace(report.diagnosis, law=found, law_leads=leads)))
 
 
 @pytest.fixture(scope="module")

@@ -6,10 +6,13 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from nmt_diagnose.effects.library import library
 from nmt_diagnose.fit.explanations import FittedExplanation
+from nmt_diagnose.ledger import size
 from nmt_diagnose.ledger.comparison import Hypotheses
+from nmt_diagnose.ledger.row import Facts
 from nmt_diagnose.ledger.size import needed
 from nmt_diagnose.search.search import Search
 
@@ -65,3 +68,28 @@ def test_an_effect_that_is_small_in_the_leading_explanation_is_in_every_other() 
     search.with_added = with_added
     (more,) = search.with_small_effects(leading, [leading, other, weak])
     assert [candidate.effect.name for candidate in more.candidates] == ["pick 1", "gain", "pick 2"]
+
+
+@pytest.mark.parametrize(("change", "small"), [(0.7, [0, 1]), (1.4, [1])])
+def test_an_effect_that_is_not_needed_lends_the_other_nothing(change: float, small: list[int]) -> None:
+    """Two masses against each other move more than one of them, whose change alone decides."""
+    masses = [SimpleNamespace(cause=name, effect=SimpleNamespace(ordinary=0.0)) for name in ("mass 10", "mass 11")]
+
+    def explanation(*members: int) -> FittedExplanation:
+        fit: Any = SimpleNamespace(log_evidence=float(len(members)))
+        return FittedExplanation(tuple(masses[k] for k in members), fit)  # type: ignore[misc]
+
+    null, one, two = explanation(), explanation(0), explanation(0, 1)
+    facts = {
+        (2, 0): Facts(left_without=4.6, change=3.4), (2, 1): Facts(left_without=0.0),
+        (1, 0): Facts(left_without=3.8, change=change),
+    }  # fmt: skip
+    data: Any = SimpleNamespace(tolerances=np.zeros(1, dtype=bool))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            size, "compared_with_simpler",
+            lambda data, more, less, *_: facts[len(more.candidates), len(less.candidates)],
+        )  # fmt: skip
+        found = needed(data, two, [null, one, two], {})
+    assert sorted(found.small) == small
+    assert found.comparisons[0].change == change

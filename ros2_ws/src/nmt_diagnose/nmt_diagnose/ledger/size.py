@@ -258,6 +258,14 @@ def needed(
             facts |= dict.fromkeys(added, comparison)
             break
         facts |= dict.fromkeys(added - facts.keys(), comparison)
+    # An effect that is not needed may lend the others what matters: they are asked for without it.
+    kept = {candidate.cause: k for k, candidate in enumerate(found.candidates) if k not in small}
+    alone = [less for less in parts if small and set(less.fitted.causes) == set(kept)]
+    if kept and alone:
+        best = needed(data, max(alone, key=lambda less: less.fit.log_evidence), simpler, wanted, own_chain)
+        own = {kept[candidate.cause]: k for k, candidate in enumerate(best.candidates)}
+        small |= {number for number, k in own.items() if k in best.small}
+        facts |= {number: best.comparisons[k] for number, k in own.items() if k in best.comparisons}
     return replace(found, small=frozenset(small), comparisons=facts)
 
 

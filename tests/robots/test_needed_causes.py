@@ -91,7 +91,7 @@ def test_a_limit_of_the_torque_takes_all_that_is_beyond_it(tmp_path: Path) -> No
     limit = float(np.quantile(np.abs(asked.torque), 0.8))
     beyond = np.sign(asked.torque) * np.maximum(np.abs(asked.torque) - limit, 0.0)
     every_row = np.zeros_like(asked._every)
-    every_row[asked._rows] = beyond
+    every_row[asked.rows] = beyond
     effect = JointEffect("saturation", "", "1", every_row[:, None], True, "", 1.5, True, 0.5)
     asked._filtered[id(effect)] = beyond[:, None]
     clean = asked.left.copy()
@@ -194,7 +194,7 @@ def test_friction_that_falls_with_speed_is_told_over_the_speeds_of_the_log(tmp_p
 def test_friction_that_changes_over_the_log_is_no_constant(tmp_path: Path, late: float) -> None:
     """A drive that warms within 8 s from 0.9 N·m: told with both ends, and silent where it does not change."""
     asked = problem(tmp_path)
-    rows = np.flatnonzero(asked._rows)
+    rows = np.flatnonzero(asked.rows)
     speed = np.sign(asked.motion.v[rows, 0])
     change = (late - 0.5) + (0.9 - late) * np.exp(-rows * asked.motion.step_s / 8.0)
     asked.left = asked.left + change * speed
@@ -251,7 +251,7 @@ def test_a_replay_has_the_state_of_friction_that_builds_up(tmp_path: Path) -> No
 
 def test_a_joint_that_sticks_does_not_creep(tmp_path: Path) -> None:
     asked = problem(tmp_path)
-    assert np.array_equal(asked._rows, asked.motion.moving[:, 0])
+    assert np.array_equal(asked.rows, asked.motion.moving[:, 0])
     assert "creep" not in explain(asked, IN_MODEL).causes
 
 

@@ -1,8 +1,9 @@
-"""What MuJoCo's own system identification leaves of a robot's log, beside the diagnosis.
+"""What MuJoCo's own system identification leaves of a robot's log, next to the diagnosis.
 
 ``mujoco.sysid`` fits armature, damping and friction of each joint to positions and speeds of simulated windows, a fixed
-structure. Both see the log before its last part and are judged by the torque that they leave in that part, which
-neither has seen. Needs ``pip install 'mujoco[sysid]'``. Run in ``./nmt shell``::
+structure. Both see the log before its last part and are judged in that part, which neither has seen: by the torque that
+they leave, and by simulations of half a second from measured states. Needs ``pip install 'mujoco[sysid]'``. Run in
+``./nmt shell``::
 
     python -m nmt_laboratories.robot_sysid ROBOT.xml LOG
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,10 +23,14 @@ from nmt_laboratories.campaign_frame import command_parser
 from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.mechanics.ladder import JointProblem, first_of_last_part
 from nmt_robots.mechanics.readings import DriveSignals, DriveTorque, Reading
-from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis, diagnose_robot
+from nmt_robots.verdict.other_logs import diagnose_robot_by_logs
+from nmt_robots.verdict.replay import replayed
+from nmt_robots.verdict.robot_diagnosis import RobotDiagnosis
 
 WINDOW_S = 1.0
 """Of a simulation that begins at the measured motion, s."""
+COMPARED_S = 0.5
+"""Of a simulation by which the models are compared, s."""
 STEPS = 2
 """Of the simulation for each row of the log, at least 1 ms."""
 
@@ -133,9 +139,34 @@ def left_of_last_part(diagnosis: RobotDiagnosis, number: int, drive: DriveSignal
     for effect in problem.usual:
         if effect.key in values:
             left -= problem.columns([effect])[:, 0] * values[effect.key]
-    rows = np.flatnonzero(diagnosis.motion.moving[:, number])
+    rows = np.flatnonzero(problem.rows)
     late = rows >= first_of_last_part(diagnosis.motion)
     return float(np.sqrt(np.mean((left[late] - np.mean(left[~late])) ** 2)))
+
+
+def windows(diagnosis: RobotDiagnosis, values: dict[str, dict[str, float]]) -> list[tuple[str, Array, float]]:
+    """Rms error of joints (rad, m) and tool (m) at the end of windows: as given, as changed and by sysid."""
+    replay = diagnosis.replay
+    assert replay is not None
+    with_values = [
+        replace(
+            verdict,
+            mechanics=None,
+            terms=(),
+            joint=replace(
+                verdict.joint,
+                **{
+                    {"viscous": "damping"}.get(key, key): value
+                    for key, value in values.get(verdict.joint.name, {}).items()
+                },
+            ),
+        )
+        for verdict in diagnosis.joints
+    ]
+    original = diagnosis.model, diagnosis.log if diagnosis.as_given is None else diagnosis.as_given[0]
+    other = replayed(original, original, diagnosis.motion, diagnosis.as_well, with_values, ())
+    models = [*replay.models, ("by sysid", other.by_model)]
+    return [(words, *replay.after(predicted, COMPARED_S)) for words, predicted in models]
 
 
 def main() -> None:
@@ -144,7 +175,7 @@ def main() -> None:
     parser.add_argument("robot", type=Path)
     parser.add_argument("log", type=Path)
     asked = parser.parse_args()
-    diagnosis = diagnose_robot(asked.robot, asked.log)
+    diagnosis = diagnose_robot_by_logs(asked.robot, [asked.log])
     begun = time.process_time()
     found = by_sysid(asked.robot, diagnosis.log, first_of_last_part(diagnosis.motion))
     seconds = time.process_time() - begun
@@ -166,6 +197,9 @@ def main() -> None:
     rms = np.sqrt(np.mean(np.square(every), axis=0))
     better = int(np.sum(np.array(every)[:, 3] < np.min(np.array(every)[:, 1:3], axis=1)))
     print(f"{'rms':>20} {rms[0]:8.4f} {rms[1]:8.4f} {rms[2]:15.4f} {rms[3]:10.4f}; better in {better} of {len(every)}")
+    print(f"windows of {COMPARED_S:g} s in the last part, rms at their end")
+    for words, joints, tool in windows(diagnosis, found):
+        print(f"{words:>20} joints {1e3 * float(np.sqrt(np.mean(joints**2))):8.2f} mrad, tool {1e3 * tool:8.2f} mm")
 
 
 if __name__ == "__main__":

@@ -162,6 +162,9 @@ class JointProblem:
         joint: number of the column.
         drive: of this joint as it is read, unfiltered.
         names: of all joints.
+
+    Attributes:
+        rows: which rows of the log are equations, (N,).
     """
 
     def __init__(self, motion: Motion, joint: int, drive: DriveSignals, names: tuple[str, ...] = ()) -> None:
@@ -172,11 +175,11 @@ class JointProblem:
         self._filtered: dict[int, Array] = {}
         self._space: tuple[dict[str, float], Space] | None = None
         creeping = creeping_effects(motion, joint)
-        self._rows = self._equations(creeping)
-        self.torque = smooth[self._rows]
-        self.left = self._every[self._rows]
-        self._change = np.gradient(smooth, motion.step_s)[self._rows]
-        self.blocks = motion.blocks[self._rows]
+        self.rows = self._equations(creeping)
+        self.torque = smooth[self.rows]
+        self.left = self._every[self.rows]
+        self._change = np.gradient(smooth, motion.step_s)[self.rows]
+        self.blocks = motion.blocks[self.rows]
         every = [*rival_effects(motion, joint, drive.through(motion.smooth), names), *creeping]
         # A velocity gain next to a commanded speed of zero, or the inertia of a single link: it is named with the usual
         # effect that has the same column, and is not a rival of it.
@@ -230,7 +233,7 @@ class JointProblem:
         parts = []
         for effect in effects:
             if id(effect) not in self._filtered:
-                self._filtered[id(effect)] = self.motion.smooth(effect.columns)[self._rows]
+                self._filtered[id(effect)] = self.motion.smooth(effect.columns)[self.rows]
             parts.append(self._filtered[id(effect)])
         return np.column_stack(parts)
 
@@ -258,8 +261,8 @@ class JointProblem:
         matrix = self.columns(effects)
         fit = fitted(matrix, self.left, never_negative(effects), self.blocks)
         free = ~fit.held
-        gravity = self.motion.gravity[self._rows, self.joint]
-        inertial = self.motion.rigid[self._rows, self.joint] - gravity
+        gravity = self.motion.gravity[self.rows, self.joint]
+        inertial = self.motion.rigid[self.rows, self.joint] - gravity
         tolerated = np.column_stack(
             [
                 THRESHOLDS.inertia_tolerance * inertial,
@@ -281,7 +284,7 @@ class JointProblem:
         return self._space[1]
 
     def _space_about(self, in_model: dict[str, float]) -> Space:
-        rows, joint = self._rows, self.joint
+        rows, joint = self.rows, self.joint
         gravity = self.motion.gravity[rows, joint]
         inertial = self.motion.rigid[rows, joint] - gravity
         angle = self.motion.smooth(self.motion.q[:, joint])[rows]
@@ -326,7 +329,7 @@ class JointProblem:
             return None
         others = [item for item in effects if item is not effect]
         forms = [effect, *(item for item in self.rivals if item.key == effect.key and item is not effect)]
-        speed, rows = self.motion.v[self._rows, self.joint], np.flatnonzero(self._rows)
+        speed, rows = self.motion.v[self.rows, self.joint], np.flatnonzero(self.rows)
         slow, fast = (float(x) for x in np.quantile(np.abs(speed), _SLOW_AND_FAST))
         count = max(len(rows) // 50, 1)
         if effect.key == "stribeck":  # the rows about each of the two speeds

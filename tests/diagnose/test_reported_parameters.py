@@ -6,6 +6,7 @@ import pytest
 from diagnose.test_predicted_effects import candidate, surroundings
 
 from nmt_diagnose.effects.library import library
+from nmt_diagnose.effects.structure_effects import BELOW
 from nmt_rig.rig import Rig
 
 # From label: rig of the test, and where each reported parameter is found in the changed rig.
@@ -42,6 +43,10 @@ REPORTED = {
             "beta": lambda rig: last(rig).stiffness_ratio,
             "chi": lambda rig: last(rig).exponent,
         },
+    ),
+    f"one_sided_stop@1, {BELOW}": (
+        "chain",
+        {"k": lambda rig: last(rig).stiffness_n_m, "gap_below": lambda rig: last(rig).gap_m},
     ),
     "local_stiffness@link": ("matrices", {"factor": lambda rig: region(rig, "link").stiffness_factor}),
     "local_mass@tip": (

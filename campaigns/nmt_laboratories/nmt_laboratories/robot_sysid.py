@@ -148,21 +148,15 @@ def windows(diagnosis: RobotDiagnosis, values: dict[str, dict[str, float]]) -> l
     """Rms error of joints (rad, m) and tool (m) at the end of windows: as given, as changed and by sysid."""
     replay = diagnosis.replay
     assert replay is not None
-    with_values = [
-        replace(
-            verdict,
-            mechanics=None,
-            terms=(),
-            joint=replace(
-                verdict.joint,
-                **{
-                    {"viscous": "damping"}.get(key, key): value
-                    for key, value in values.get(verdict.joint.name, {}).items()
-                },
-            ),
-        )
-        for verdict in diagnosis.joints
-    ]
+    with_values = []
+    for verdict in diagnosis.joints:
+        joint = verdict.joint
+        found = values.get(joint.name, {})
+        joint = replace(
+            joint, armature=found.get("armature", joint.armature), damping=found.get("viscous", joint.damping),
+            coulomb=found.get("coulomb", joint.coulomb),
+        )  # fmt: skip
+        with_values.append(replace(verdict, mechanics=None, terms=(), joint=joint))
     original = diagnosis.model, diagnosis.log if diagnosis.as_given is None else diagnosis.as_given[0]
     other = replayed(original, original, diagnosis.motion, diagnosis.as_well, with_values, ())
     models = [*replay.models, ("by sysid", other.by_model)]

@@ -150,3 +150,21 @@ def test_modes_are_looked_for_below_the_images_of_a_held_drive() -> None:
     assert np.isfinite(test.modal_hz).all()
     held = replace(test, lines_hz=np.array([499.0, 501.0, 600.0]), drive_hold_hz=RATE_HZ)
     np.testing.assert_array_equal(held.modal_hz, [499.0, np.inf, np.inf])
+
+
+def test_delays_of_channels_hold_nothing_of_the_delay_that_their_kind_shares() -> None:
+    """The shared one is exact and those are of the first order: one against the other they would be a filter."""
+    sensors = [
+        {"quantity": "force", "point": "drive"},
+        {"quantity": "displacement", "point": 1},
+        {"quantity": "displacement", "point": 2},
+        {"quantity": "voltage"},
+    ]
+    rig = chain(sensors=sensors)
+    recorded = replace(observations_of_model(rig, noise=0.0), chains=(MeasuringChain(), MeasuringChain()))
+    found = linear_chain(recorded, rig, Forward(recorded.tests, recorded.rows).predict(rig))
+    first, second, force = (found.columns[:, found.names.index(f"delay {name}")] for name in ("x1", "x2", "f1"))
+    size = np.linalg.norm(first)
+    assert size > 0.0
+    assert np.linalg.norm(first + second) < 1e-9 * size
+    assert np.linalg.norm(force) > 0.0

@@ -9,7 +9,7 @@ the model for other values, and are the same for windows, random tests, tables, 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -144,11 +144,28 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
     found.update(_phase_at_lock(observations, rig, prediction))
     for name, column in record_errors(observations, rig).items():
         found[name] = found[name] + column if name in found else column
+    found |= _own_delays(observations, rig, found)
     found = {name: np.nan_to_num(column, posinf=0.0, neginf=0.0) for name, column in found.items()}
     information = {name: float(np.sum((column / observations.sigma) ** 2)) for name, column in found.items()}
     kept = [name for name in found if information[name] > THRESHOLDS.misfit.least_chain_error]
     columns = np.column_stack([found[name] for name in kept]) if kept else np.zeros((len(observations.rows), 0))
     return Chain(tuple(kept), columns, np.array([name.startswith(_ADDED) for name in kept], dtype=bool))
+
+
+def _own_delays(observations: Observations, rig: Rig, found: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Delays of the channels of a kind without what they have in common, which is the delay that the kind shares.
+
+    That one is exact and these are of the first order: one against the other they would make a filter.
+    """
+    result: dict[str, FloatArray] = {}
+    channels = {channel.name: channel.quantity for test in observations.tests for channel in test.channels}
+    for shared in shared_delays(observations, rig):
+        names = [f"delay {name}" for name, quantity in channels.items() if quantity is shared.quantity]
+        names = [name for name in names if name in found]
+        if len(names) > 1:
+            common = sum(found[name] for name in names) / len(names)
+            result |= {name: found[name] - common for name in names}
+    return result
 
 
 def _unsettled(observations: Observations) -> dict[str, FloatArray]:

@@ -402,3 +402,22 @@ def test_the_probabilities_of_the_console_table_add_up() -> None:
     names = [str(cell) for cell in table.columns[2].cells]
     assert names[-1] == "all other explanations"
     assert sum(map(float, shown)) == pytest.approx(100.0, abs=2.0)
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_no_further_test_is_needed_only_where_one_effect_at_one_place_remains() -> None:
+    report = fixture.report(Verdict.EFFECT, fixture.one_test())
+    cubic = replace(report.diagnosis.ranking[0], equivalents=(), probability=0.97)
+    alone = replace(
+        report.diagnosis, next_test=(), ranking=(cubic,), answers=(Answer("effect", ("cubic_stiffness",), 0.97),)
+    )
+    needless, better = "no further test is needed", "separate the remaining explanations better"
+    for diagnosis, said_of_tests in (
+        (alone, needless),
+        (replace(alone, adequate=False), better),
+        (replace(alone, ranking=(replace(cubic, probability=0.6),)), better),
+        (replace(alone, ranking=(replace(cubic, places={"5": 0.5, "6": 0.4}),)), better),
+        (replace(alone, answers=(*alone.answers, Answer("unknown", (), 0.02))), needless),
+        (replace(alone, answers=(Answer("effect", ("cubic_stiffness", "air_drag"), 0.97),)), better),
+    ):
+        assert said_of_tests in text_of(diagnosis_page(replace(report, diagnosis=diagnosis)))

@@ -41,6 +41,15 @@ def test_a_healthy_log_keeps_silent() -> None:
     strayed = replace(joint, unchanged=0.5 * joint.torque)
     assert strayed.cause == "not known"
     assert strayed.difference == "not known: the model leaves 50 % of the torque, no cause is claimed"
+    # Where the fitted terms leave little, those that take the torque are listed, each once, and no others.
+    shares = {"viscous": 0.4, "armature": 0.2}
+    fitted = tuple(replace(term, share=shares.get(term.key, 0.0)) for term in joint.terms)
+    listed = replace(strayed, terms=fitted).difference
+    assert listed.startswith("open: ")
+    assert listed.endswith("would take the 50 % of the torque that the model leaves, none for certain")
+    assert "viscous friction" in listed
+    assert "armature" in listed
+    assert "Coulomb" not in listed
     assert (
         "0 of 1 joints differ from the model, cause named; 1 more, cause open."
         in replace(diagnosis, joints=(strayed,)).verdict

@@ -13,6 +13,7 @@ from nmt_core.text.number_words import percent, share_with_interval, value_text
 from nmt_diagnose.ledger.diagnosis import NULL, UNKNOWN, Diagnosis, Gap, Remainder, Verdict
 from nmt_diagnose.measurements.measurement import Measurement, Observations
 from nmt_diagnose.observations.observables import Part
+from nmt_diagnose.say.sentences import place_words
 from nmt_diagnose.say.words import (
     answered,
     answers_text,
@@ -32,6 +33,7 @@ from nmt_diagnose.say.words import (
     smallest_text,
     verdict_text,
 )
+from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_report.diagnosis_curves import (
     Course,
     Models,
@@ -122,7 +124,7 @@ def diagnosis_page(report: DiagnosisReport) -> str:
         laws=laws,
         next_table=_next(d),
         could_do_better=d.verdict.gap,
-        one_remains=d.adequate and len(d.answers) == 1 and len(d.answers[0].effects) == 1,
+        one_remains=_one_remains(d),
         maps=maps,
         curves=curves,
         calibration_table=_calibration(d, report.rig),
@@ -173,6 +175,15 @@ def probability_shares(d: Diagnosis) -> list[tuple[str, str, float, str]]:
     if left > 0.005:
         shares.append(("all other explanations", probability_text(left), left, MUTED))
     return shares
+
+
+def _one_remains(d: Diagnosis) -> bool:
+    """Whether one effect at one place holds most of the probability and leaves nothing that matters."""
+    effects = [effect for answer in d.answers for effect in answer.effects]
+    certain = bool(d.ranking) and d.ranking[0].probability >= THRESHOLDS.verdict.cause_probability
+    return (
+        d.verdict is Verdict.EFFECT and d.adequate and certain and len(effects) == 1 and not place_words(d.ranking[0])
+    )
 
 
 def _level_label(observations: Observations, test: str) -> str:

@@ -164,7 +164,7 @@ class LawReading:
 
     @property
     def closed(self) -> float:
-        """Share of the gap that it closes of what was held out: by its file, else on levels that were left out."""
+        """Share of the gap that it closes on held-out rows: by its file, else on levels that were left out."""
         return self.closed_by_file if math.isfinite(self.closed_by_file) else min(self.closed_inside, self.closed_above)
 
 

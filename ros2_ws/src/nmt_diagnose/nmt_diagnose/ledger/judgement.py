@@ -93,7 +93,7 @@ class Judgement:
 
     @property
     def law_leads(self) -> bool:
-        """Whether the law is the answer, of what it and the nearest explanation close of the same rows held out.
+        """Whether the law is the answer, by the shares that it and the nearest explanation close on the same rows.
 
         The law goes to the model as given. It leads where it closes as much as an explanation that leaves something,
         half as much as one that moves the model's parameters beyond belief, and certainly more than one that leaves

@@ -258,7 +258,7 @@ def needed(
             facts |= dict.fromkeys(added, comparison)
             break
         facts |= dict.fromkeys(added - facts.keys(), comparison)
-    # An effect that is not needed may lend the others what matters: they are asked for without it.
+    # With an effect that is not needed the others may look necessary: they are judged without it.
     kept = {candidate.cause: k for k, candidate in enumerate(found.candidates) if k not in small}
     alone = [less for less in parts if small and set(less.fitted.causes) == set(kept)]
     if kept and alone:

@@ -28,7 +28,7 @@ _LARGEST_LOG = 8.0  # of a shape over its scale: beyond it the start says nothin
 def law_of(rig: Rig, observations: Observations) -> LawReading | None:
     """The law of held levels, else of records of an imposed motion, else of driven ones; None without one.
 
-    What tells no law hides none that others tell.
+    A test without a law does not hide the law of another.
     """
     found = []
     for read in (read_law, read_record_law, read_driven_law):

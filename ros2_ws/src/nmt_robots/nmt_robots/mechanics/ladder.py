@@ -446,7 +446,7 @@ def explain(
 def _asked(problem: JointProblem, space: Space, without: frozenset[str]) -> tuple[Chosen, list[tuple[str, str]]]:
     """The choice, and keys and shapes of its causes; what is not credible where all is free is not asked again.
 
-    The usual effects are in every fit. One that is no cause still takes its torque, lest another cause have it.
+    The usual effects are in every fit. One that is not a cause keeps its torque, so that no other cause gets it.
     """
     library = [item for item in space.columns() if item.term not in without or item.term in USUAL]
     while True:

@@ -316,7 +316,7 @@ def _left(judgement: Judgement, held_out: HeldOut) -> ModelResiduals:
 
 
 def _gap(judgement: Judgement, held_out: HeldOut, left: ModelResiduals) -> tuple[Gap, FloatArray]:
-    """The gap on held-out data where they judge it, else on all rows; and the residual of each row explained, (m,)."""
+    """The gap, and the residual of each row, (m,): on held-out data where they judge it, else on all rows."""
     calibration, nearest = judgement.verdict is Verdict.CALIBRATION, judgement.nearest
     pairs = held_out.recalibrated() if calibration else held_out.pairs(nearest.head) if nearest is not None else []
     share = closed(held_out.everything.observations, pairs, held_out.seed)

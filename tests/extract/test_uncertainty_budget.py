@@ -106,12 +106,14 @@ def test_shapes_clock_and_method() -> None:
     assert part(UncertaintySource.CLOCK, "omega_rad_s", inputs) == pytest.approx(1e-5)
     assert part(UncertaintySource.METHOD, "omega_rad_s", inputs) == pytest.approx(1e-4)
     assert part(UncertaintySource.METHOD, "damping_ratio", inputs) == pytest.approx(0.01 + 0.02 / 3.0)
-    assert not list(left_out(inputs))
-    assert [sentence.split(";")[0] for sentence in left_out(replace(inputs, method=None))] == [
+    calibration = "± does not include the calibration of the sensors: no tolerance of a channel is stated."
+    assert list(left_out(inputs)) == [calibration]
+    assert not list(left_out(replace(inputs, tolerances=Tolerances({}, ChannelTolerance(0.01, 0.0, 0.0), 1e-5))))
+    assert [sentence.split(";")[0] for sentence in left_out(replace(inputs, method=None))][1:] == [
         "± does not include the error of single-point excitation"
     ]
     two = replace(inputs, method=None, linear=replace(inputs.linear, exciter_points=(1, 4)))
-    assert [sentence.split(";")[0] for sentence in left_out(two)] == [
+    assert [sentence.split(";")[0] for sentence in left_out(two)][1:] == [
         "± does not include the error of excitation at 2 points"
     ]
 

@@ -140,7 +140,7 @@ def test_a_measured_torque_acts_in_windows(tmp_path: Path) -> None:
     assert rms(right - found.measured[:, :101, 0]) < 0.05 * rms(wrong)
     assert simulated._simulation.free_inertia() == pytest.approx([inertia])
     # The tool is the pendulum's centre: an angle times its length.
-    assert found.tool == "tool (arm)"
+    assert found.tool == "tool point (arm)"
     after = found.after(found.by_model, 0.2)
     assert after[1] == pytest.approx(LENGTH * after[0][0], rel=0.02)
 
@@ -197,14 +197,14 @@ def test_the_sentence_keeps_angles_and_slides_apart() -> None:
         return PredictedMotion(values, values, np.full((2, 60, 1), 0.005), np.array([60, 60]))
 
     by_model = off(0.03, 0.04, 0.002)
-    replay = Replay("", ("elbow", "wrist", "lift"), (True, True, False), "tool (hand)", 0.01, np.arange(2),
+    replay = Replay("", ("elbow", "wrist", "lift"), (True, True, False), "tool point (hand)", 0.01, np.arange(2),
                     np.zeros((2, 60, 3)), by_model, by_model, {})  # fmt: skip
     assert replay.sentence == (
-        "Simulated for 0.5 s from measured states, off by (rms): tool (hand) 5 mm as given; "
+        "Simulated for 0.5 s from measured states, off by (rms): tool point (hand) 5 mm as given; "
         "revolute joints 35.4 mrad as given; sliding joints 2 mm as given. "
     )
     early = replace(by_model, lasted=np.array([60, 30]))
-    assert "tool (hand) > 5 mm as given" in replace(replay, by_model=early, by_changed=early).sentence
+    assert "tool point (hand) > 5 mm as given" in replace(replay, by_model=early, by_changed=early).sentence
 
 
 def test_each_limb_has_an_end(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nmt_core.files.hardened import LARGEST_NUMBER
 from nmt_core.numerics.arrays import BoolArray, FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.ahead.next_tests import next_levels, next_tests, other_sensors
@@ -158,12 +157,12 @@ def _detectable(
     result = []
     weakest = search.reported_from(base, list(strongest.values()))
     for (name, score), strength in sorted(zip(strongest.items(), weakest, strict=True)):
+        if strength > THRESHOLDS.verdict.largest_strength:
+            continue  # as of x⁵ in a motion of nanometres
         candidate = search.candidates[score.candidate]
         theta = at_strength(candidate, score.start, strength)
         reported = Parametrisation(rig, (), (candidate,)).reported(theta, 0)
         values = {key: Value(value, math.nan, unit) for key, (value, unit) in reported.items()}
-        if any(abs(value.value) > LARGEST_NUMBER for value in values.values()):
-            continue  # no strength that a rig may have would show, as of x⁵ in a motion of nanometres
         location = candidate.site.location
         result.append(DetectableEffect(name, location.kind, location.detail, values))
     return tuple(result)
@@ -331,7 +330,7 @@ def _gap(judgement: Judgement, held_out: HeldOut, left: ModelResiduals) -> tuple
         low=share.low,
         high=share.high,
         per_observable=per_observable(left.observations, judged),
-        held_out=tuple(split.name for split in held_out.splits) if predicted else (),
+        held_out=tuple(split.words(held_out.everything.observations) for split in held_out.splits) if predicted else (),
     )
     return gap, over_splits([(after, rows) for _, after, rows in judged])
 

@@ -107,7 +107,7 @@ def residual_figure(
     for tick, line in zip(panels[0].get_yticklabels(), lines, strict=True):
         tick.set_fontweight("bold" if line[1] in (1, -1) else "normal")
     caption = (
-        "Root-mean-square residual of each cell in standard deviations of the noise: scatter alone gives about 1. "
+        "Root-mean-square residual of each cell in standard deviations of the noise: noise alone gives about 1. "
         + _legend()
         + " A cell of two values passes 1.7 by chance in one case of twenty."
         + (Markup(" <i>n</i>: order of the harmonic.") if harmonics else "")

@@ -70,7 +70,7 @@ def _complete_inputs(
 ) -> dict[str, Any]:
     """What ``inputs`` of ``diagnosis.json`` says beyond what the diagnosis knows: files, overrides, versions."""
     bags = [
-        {**bag, "role": "repeat, for the floor" if bag.get("path") in floor else "real side"}
+        {**bag, "role": "repeat, for the floor" if bag.get("path") in floor else "measurement"}
         for bag in inputs.get("bags", ())
     ]
     return {

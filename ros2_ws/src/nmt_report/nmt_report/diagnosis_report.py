@@ -222,7 +222,7 @@ def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
         text = plain(before, 2)
         if d.verdict in (Verdict.EFFECT, Verdict.CALIBRATION):
             text += f" → {plain(gap.after, 2)}"
-        cards.append(("Residual, rms", text, f"standard deviations; scatter alone leaves {plain(gap.floor, 2)}"))
+        cards.append(("Residual, rms", text, f"standard deviations; noise alone leaves {plain(gap.floor, 2)}"))
     return cards
 
 
@@ -285,16 +285,15 @@ def _ranking(d: Diagnosis) -> Table:
         PageColumn("Explanation", kind="text wrap"),
         PageColumn("Place", kind="text wrap"),
         PageColumn("Parameters", "± standard uncertainty", "text wrap"),
-        PageColumn("Strength", "over its scatter"),
+        PageColumn("Strength", "standard deviations"),
         PageColumn("Gap closed", "%, held-out data"),
     )
     note = (
         "These explanations are fitted to the same data with the model’s own parameters free. The probability weighs "
-        "the fit against the number of parameters. Strength: the estimate over its standard deviation "
-        "from scatter of the data alone; ± also holds the uncertainty of gains and "
-        "parameters. Gap closed: share of the residual beyond "
-        "noise that the explanation removes from held-out data, with its 90 % interval; negative: it predicts worse "
-        "than the model without it. Only the most probable explanations are judged on held-out data."
+        "the fit against the number of parameters. Strength: the estimate (of a factor its logarithm) over its "
+        "standard deviation from noise of the data alone; ± also holds the uncertainty of gains and parameters. Gap "
+        "closed: share of the residual beyond noise that the explanation removes from held-out data, with its 90 % "
+        "interval; negative: it predicts worse than the model without it. Only the most probable are judged on it."
     )
     return Table(head, [row for _, row in rows], f"{answers_text(d.answers)} {note}".lstrip())
 
@@ -322,7 +321,7 @@ def _gap(d: Diagnosis) -> Table:
         steps = [("model as given", gap.before, ""), ("parameters re-fitted", gap.after, "on")]
     if d.verdict is Verdict.EFFECT:
         steps.append(("with the effect", gap.after, "on"))
-    steps.append(("scatter alone", gap.floor, "quiet"))
+    steps.append(("noise alone", gap.floor, "quiet"))
     largest = max((value for _, value, _ in steps if math.isfinite(value)), default=1.0)
     rows = [
         Row((name, _with_bar(value / largest, plain(value, 2), kind)))
@@ -359,8 +358,8 @@ def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
     if not gap.held_out:
         return Table([*head, PageColumn("Values")], rows, f"{note} All data are in the fits.", "By observable")
     note += (
-        " Each value is predicted from fits that exclude it; a value that several fits exclude counts in each. The rms "
-        "of all rows is the residual above."
+        " Each value is predicted from fits that exclude it; a value that several fits exclude counts in each rms. "
+        "The rms of all rows is the residual above."
     )
     return Table([*head, PageColumn("Held-out values")], rows, note, "By observable, on held-out data")
 
@@ -496,8 +495,8 @@ def _residual_tests(d: Diagnosis) -> Table | None:
     )
     note = (
         "Each test looks for one pattern in the residual of the best explanation; a large positive statistic shows it. "
-        f"Where p of all tests together (Holm) is below {_LEFT_OVER:g}, something is left. p: chance of as large a "
-        "statistic from noise."
+        "A fit follows the noise a little and makes correlations of neighbours negative. Where p of all tests together "
+        f"(Holm) is below {_LEFT_OVER:g}, something is left. p: chance of as large a statistic from noise."
     )
     return Table(head, rows, note)
 
@@ -508,7 +507,7 @@ def _input_tables(d: Diagnosis) -> list[Table]:
         (
             str(bag.get("path", "")),
             str(bag.get("sha256", "")),
-            str(bag.get("role", "real side")),
+            str(bag.get("role", "measurement")),
             str(bag.get("origin", {}).get("text", "—")),
         )
         for bag in inputs.get("bags", ())
@@ -548,7 +547,8 @@ def _input_tables(d: Diagnosis) -> list[Table]:
             PageColumn("Seen from", "five standard deviations", "text wrap"),
         )  # fmt: skip
         rows = [Row(cells) for cells in weakest]
-        tables.append(Table(columns, rows, heading="Smallest effects that these recordings would show"))
+        note = "At this size or stronger; a low-pass corner at this frequency or below."
+        tables.append(Table(columns, rows, note, "Smallest effects that these recordings would show"))
     return tables
 
 
@@ -567,20 +567,23 @@ def _settings(d: Diagnosis) -> list[tuple[str, str]]:
 def _candidates(d: Diagnosis) -> Table | None:
     if not d.candidates:
         return None
+    competing = sorted((item for item in d.candidates if not item.get("filter")), key=_evidence, reverse=True)
     rows = [
         Row((
             Markup('<span class="mono">{}</span>').format(item.get("label", "")),
             place_text(str(item.get("place", ""))) if item.get("place") else "—",
-            plain(_number(item, "log_evidence"), 1),
+            plain(_evidence(item), 1),
             plain(_number(item, "chi_square"), 1),
             str(item.get("rows", "")),
             str(item.get("parameters", "")),
             plain(_number(item, "sigmas"), 1),
-            "—" if item.get("filter") else "yes" if item.get("converged") else "no",
-            str(item.get("filter") or "") or "; ".join(f"{name} is small" for name in item.get("small", ())) or "—",
+            "yes" if item.get("converged") else "no",
+            ", ".join(item.get("small", ())) or "—",
         ))
-        for item in d.candidates
+        for item in competing
     ]  # fmt: skip
+    behind = sorted((item for item in d.candidates if item.get("filter")), key=_evidence, reverse=True)
+    labels = list(dict.fromkeys(str(item.get("label", "")) for item in behind))
     head = (
         PageColumn("Explanation", kind="text"),
         PageColumn("Place"),
@@ -588,15 +591,21 @@ def _candidates(d: Diagnosis) -> Table | None:
         PageColumn("χ²", "all data, stated uncertainties"),
         PageColumn("Values"),
         PageColumn("Parameters", "added"),
-        PageColumn("Strength", "over its scatter"),
+        PageColumn("Strength", "standard deviations"),
         PageColumn("Converged"),
-        PageColumn("Left out", "as", "text"),
+        PageColumn("Too small to state", kind="text"),
     )
     note = (
-        "χ² is in the uncertainties that the recordings state; other residuals on this page are in those that the best "
-        "explanation shows. What is far behind the best was not fitted to the end."
+        "χ² is in the uncertainties that the recordings state. The evidence and all other residuals on this page are "
+        "in standard deviations of the noise that the best explanation shows, so they are about 1 for it."
     )
+    if labels:
+        note += f" Fits that were stopped early because they lay far behind the best: {', '.join(labels)}."
     return Table(head, rows, note)
+
+
+def _evidence(item: Mapping[str, Any]) -> float:
+    return _number(item, "log_evidence")
 
 
 # -- curves -----------------------------------------------------------------------------------------------------------

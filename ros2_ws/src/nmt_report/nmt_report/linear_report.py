@@ -106,12 +106,12 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
         (
             "Target mode",
             f"{plain(target.frequency_hz, 4)} Hz",
-            f"± {significant(target.frequency_std, 1)} Hz: scatter, no bias",
+            f"± {significant(target.frequency_std, 1)} Hz, scatter only; bias is not included",
         ),
         (
             "Damping ratio",
             f"{plain(100 * target.damping_ratio, 4)} %",
-            f"± {significant(100 * target.damping_std, 1)} %: scatter, no bias",
+            f"± {significant(100 * target.damping_std, 1)} %, scatter only; bias is not included",
         ),
     ]
     if test.plant is not None:
@@ -130,8 +130,8 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
         ("Level", "" if result.level is None else f"{significant(result.level)} V rms"),
         ("Band", f"{test.settings.band_hz[0]:g} to {test.settings.band_hz[1]:g} Hz"),
         ("Record", duration(test.duration_s)),
-        ("Averages", f"{test.force_frfs[0].independent_averages:.1f} independent, Hann window"),
-        ("Input of the fit", test.reference),
+        ("Averages", f"{test.force_frfs[0].independent_averages:.0f} effective (overlapping), Hann window"),
+        ("Fitted", f"responses and forces over {test.reference}; the receptance is their ratio"),
     ]
     page = ResponsePage(
         kicker="Linear modal test",

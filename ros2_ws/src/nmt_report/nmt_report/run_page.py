@@ -268,7 +268,16 @@ def _modal_table(data: RunReportData) -> Table | None:
     note = std_note(data.budgets)
     if data.reference is not None:
         note += f" Δf̃, Δδ̃: deviation from {data.reference.label} at the same modal amplitude."
+        if data.budget_inputs is not None and data.budget_inputs.method is not None:
+            note += (
+                " ± contains the error of single-point excitation, which is this deviation in a simulated run: here it "
+                "does not judge Δ."
+            )
+    note += f" Level: amplitude (peak value) of the {_LEVEL_WORDS.get(data.points[0].level_unit, 'response')}."
     return Table(head, rows, note)
+
+
+_LEVEL_WORDS = {"V": "drive voltage", "N": "force"}
 
 
 _BUDGET_SYMBOLS = {"omega_rad_s": "f̃", "damping_ratio": "δ̃", "modal_amplitude": "q", "force_n": "F₁"}
@@ -315,9 +324,8 @@ def _budget_notes(data: RunReportData) -> list[str]:
             notes.append(f"{channel}: gain ± {significant(100 * gain, 2)} %, phase ± {turned}° ({source}).")
     if data.budget_inputs.method is not None:
         notes.append(
-            "Single-point excitation: deviation of a simulated run (this one, that of --model-run) from the computed "
-            "mode at the same modal amplitude; not corrected. Where it is this run's, ± is as large as the deviation "
-            "and does not judge it."
+            "Single-point excitation: deviation of a simulated run from the computed mode at the same modal amplitude, "
+            "not corrected. The run is this one, or that of --model-run."
         )
     return [*notes, *left_out(data.budget_inputs)]
 

@@ -25,6 +25,10 @@ _NO_BETTER = 0.9
 """Standard uncertainty over that of its prior from which on rows do not determine a parameter."""
 
 
+# Tests or levels that a text lists.
+_LISTED = 8
+
+
 @dataclass(frozen=True)
 class Split:
     """One way to hold data out.
@@ -38,6 +42,23 @@ class Split:
     name: str
     fitted: BoolArray
     held_out: BoolArray
+
+    def words(self, observations: Observations) -> str:
+        """The name, followed by the tests or levels that it holds where the name does not say which."""
+        rows, parts = observations.rows, []
+        for number, test in enumerate(observations.tests):
+            levels, every = (np.unique(rows.level[(rows.test == number) & of]) for of in (self.held_out, True))
+            if 0 < levels.size < every.size:
+                numbers = _listed([str(each + 1) for each in np.searchsorted(every, levels)])
+                parts.append(f"levels {numbers} of {every.size} of {test.name}")
+            elif levels.size:
+                parts.append(test.name)
+        return self.name if self.name.startswith("the test ") else f"{self.name} ({_listed(parts)})"
+
+
+def _listed(items: Sequence[str]) -> str:
+    more = len(items) - _LISTED
+    return ", ".join(items[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def named_tests(observations: Observations, names: Sequence[str]) -> BoolArray:

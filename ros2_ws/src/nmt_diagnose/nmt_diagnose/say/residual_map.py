@@ -91,7 +91,7 @@ def per_observable(observations: Observations, pairs: Sequence[Pair]) -> dict[st
     judged = [rows & np.isfinite(before) & np.isfinite(after) for before, after, rows in pairs]
     for name, number, channel, facts, kind in observables_of(observations):
         selected = [kind & rows for rows in judged]
-        count = sum(int(rows.sum()) for rows in selected)
+        count = int(np.any(selected, axis=0).sum()) if selected else 0
         if not count:
             continue
         scale = observations.sigma * facts.factor

@@ -265,7 +265,7 @@ def inputs(
             for (path, digest), origin in zip_longest(observations.inputs, observations.origins)
         ],
         "tests": tests,
-        "held_out": [split.name for split in splits],
+        "held_out": [split.words(observations) for split in splits],
         "model": rig.name,
         "withheld": list(settings.withheld),
         "seed": settings.seed,

@@ -252,15 +252,14 @@ def _how_far(gap: Gap, what: str, before: str, after: str, base: str) -> str:
     if gap.closed <= 0.0:
         return (
             f"{what} predicts data held out from the fit no better: {gap.before:.2f} standard deviations rms before, "
-            f"{gap.after:.2f} after it, where scatter alone leaves {gap.floor:.2f}; the new values are not to be "
-            "relied on."
+            f"{gap.after:.2f} after it, where noise alone leaves {gap.floor:.2f}; do not rely on the new values."
         )
     closed, limits = share_with_interval(gap.closed, gap.low, gap.high)
     interval = f" (90 % interval {limits})" if limits else ""
     return (
         f"On data held out from the fit, {what[:1].lower()}{what[1:]} removes {closed} of the residual of the {base} "
-        f"beyond scatter{interval}. Residual there, in standard deviations (rms): {before}, {gap.after:.2f} {after}; "
-        f"scatter alone leaves {gap.floor:.2f}."
+        f"beyond noise{interval}. Residual there, in standard deviations of the noise (rms): {before}, {gap.after:.2f} "
+        f"{after}; noise alone leaves {gap.floor:.2f}."
         + (" The uncertainties of the held-out data allow 1, so they hardly show it." if gap.before <= NOISE else "")
     )
 

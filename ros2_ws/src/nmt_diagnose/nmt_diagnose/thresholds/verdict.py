@@ -32,6 +32,11 @@ class VerdictThresholds:
         "Allowance for chance: once in 700 recordings.",
         "tests/diagnose/test_what_is_asked.py::test_the_weakest_that_would_show_is_reported",
     )  # fmt: skip
+    largest_strength: float = threshold(
+        1000.0, "scales",
+        "No rig has a stronger effect; listed ones show from 0.0001 to 20.",
+        "tests/diagnose/test_measured_noise.py::test_the_weakest_that_would_show_is_sure",
+    )  # fmt: skip
     recalibration_cost_fall: float = threshold(
         25.0, "−2 ln p",
         "Fall by the model's parameters alone: five standard deviations.",

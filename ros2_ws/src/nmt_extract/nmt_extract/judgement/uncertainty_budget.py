@@ -400,6 +400,8 @@ def read_totals(path: Path | str) -> dict[int, dict[str, float]]:
 
 def left_out(inputs: BudgetInputs) -> Iterator[str]:
     """Sentences on sources that the budget does not know."""
+    if not any(gain or phase for _, gain, phase, _ in channel_tolerances_used(inputs)):
+        yield "± does not include the calibration of the sensors: no tolerance of a channel is stated."
     if inputs.linear.source == "test" and not inputs.linear.shape_stds:
         yield "± does not include the uncertainty of the linear shapes: the bag was recorded without it."
     if inputs.method is None:

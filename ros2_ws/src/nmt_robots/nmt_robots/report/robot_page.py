@@ -68,7 +68,9 @@ def _answers(diagnosis: RobotDiagnosis) -> list[tuple[str, str]]:
     rows = [] if diagnosis.replay is None else [("In motion", diagnosis.replay.sentence)]
     rows += [] if diagnosis.bodies is None else [("Bodies", diagnosis.bodies.sentence)]
     rows.append(("Joints", _named(diagnosis)))
-    read = f"Timing: {diagnosis.reading.text()}{' (other timings fit as well)' if len(diagnosis.as_well) > 1 else ''}."
+    read = (
+        f"Timing: {diagnosis.reading.text()}{'; other timings fit equally well' if len(diagnosis.as_well) > 1 else ''}."
+    )
     read += " The torque is computed by the drives' control law." if diagnosis.log.is_arithmetic else ""
     more = [f"{len(faults) - _FAULTS} more faults are below."] if len(faults) > _FAULTS else []
     rows.append(("The log", " ".join([*(faults[:_FAULTS] or ["No fault was found."]), *more, read])))
@@ -102,9 +104,9 @@ def _cards(diagnosis: RobotDiagnosis) -> list[tuple[str, str, str]]:
     values = {name: rms_text(diagnosis.left_over(name)) for name in ("torque", "unchanged", "left")}
     return [
         (
-            "Torque of the log",
+            "Torque computed from the commands" if diagnosis.log.is_arithmetic else "Torque of the log",
             values["torque"],
-            f"rms over the joints{', computed by the control law' if diagnosis.log.is_arithmetic else ''}",
+            "rms over the joints",
         ),
         ("Residual of the model as given", values["unchanged"], "on held-out seconds"),
         ("Residual of the changed model", values["left"], "on held-out seconds"),
@@ -185,20 +187,23 @@ def _joint_row(joint: JointVerdict) -> tuple[str, ...]:
 
 
 def _held_out(diagnosis: RobotDiagnosis) -> Markup:
-    rows = [
-        (joint.joint.name, *(significant(value, 3) for value in _figures(joint)))
-        for joint in diagnosis.joints
-        if joint.mechanics is not None
-    ]
+    judged = [joint for joint in diagnosis.joints if joint.mechanics is not None]
     names = ("torque", "model as given", "basic fit, log as recorded", "basic fit", "all terms", "basic fit, last part",
              "all terms, last part")  # fmt: skip
-    head = [("joint", ""), *((name, _unit(diagnosis)) for name in names)]
-    return html_table(
-        head,
-        rows,
-        "Basic fit: Coulomb and viscous friction, armature and an offset. Last part: fitted to the first 70 % of the "
-        "rows, judged by the others.",
+    texts = [[significant(value, 3) for value in _figures(joint)] for joint in judged]
+    # A fit with the values of an earlier one needs no column.
+    columns: dict[tuple[str, ...], str] = {}
+    for name, cells in zip(names, zip(*texts, strict=True), strict=False):
+        columns.setdefault(cells, name)
+    head = [("joint", ""), *((name, _unit(diagnosis)) for name in columns.values())]
+    rows = list(zip([joint.joint.name for joint in judged], *columns, strict=True))
+    note = (
+        "Basic fit: Coulomb and viscous friction, armature and an offset; of the log as recorded: with its timing as "
     )
+    note += "it is. Last part: fitted to the first 70 % of the rows, judged by the others."
+    repeated = [name for name in names if name not in columns.values()]
+    note += f" With the same values: {', '.join(repeated)}." if repeated else ""
+    return html_table(head, rows, note)
 
 
 def _others(diagnosis: RobotDiagnosis) -> Markup:
@@ -326,7 +331,7 @@ def _limits(diagnosis: RobotDiagnosis) -> Markup:
         ("armature or inertia of a link that turns alone", "not separable in any log", "weigh the link"),
         ("friction that builds up over a short way", "named only with many slow reversals",
          "slow reversals, two amplitudes"),
-        ("torque constant, or mass, friction and armature scaled alike", "named only beyond their tolerances",
+        ("torque constant, or mass, friction and armature scaled alike", "reported only beyond the stated tolerances",
          "a known payload"),
         ("effects of temperature, friction that depends on position", "no term of the library describes them",
          "the same motion when warm"),

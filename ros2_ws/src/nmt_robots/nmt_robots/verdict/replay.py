@@ -307,7 +307,7 @@ def replayed(
         how += f"The last part of the log, {(len(motion.q) - first) * step:.2g} s, is too short for windows of " + (
             f"{_enumerated(too_short)} s."
         )
-    tool = f"tool ({ends[0].name})" if len(ends) == 1 else f"ends of {len(ends)} limbs"
+    tool = f"tool point ({ends[0].name})" if len(ends) == 1 else f"ends of {len(ends)} limbs"
     turns = tuple(verdict.joint.turns for verdict in verdicts)
     return Replay(how, log.joints, turns, tool, step, starts, measured, by_model, by_changed, words)
 

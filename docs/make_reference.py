@@ -605,24 +605,21 @@ def statements(name: str) -> str:
     return statements_table()
 
 
-def thresholds_table(theme: str) -> str:
-    """Thresholds of one theme: of the diagnosis (``signals.decays``), loops (``loops.phase``), ``judgement.gain``."""
+def tolerances_table(name: str) -> str:
+    """Standard uncertainties of a healthy measuring chain.
+
+    Args:
+        name: ``all``.
+    """
     from nmt_core.threshold import thresholds_of
     from nmt_diagnose.thresholds import THRESHOLDS
-    from nmt_extract.judgement.thresholds import THRESHOLDS as JUDGEMENT
-    from nmt_pll.thresholds import THRESHOLDS as LOOPS
 
-    first, *names = theme.split(".")
-    others = {"loops": LOOPS, "judgement": JUDGEMENT}
-    record: Any = others.get(first, THRESHOLDS)
-    for name in names if first in others else [first, *names]:
-        record = getattr(record, name)
     lines = []
-    for name, holder, field in thresholds_of(record):
-        value = getattr(holder, name)
-        text = ", ".join(f"{item:g}" for item in (value if isinstance(value, tuple) else (value,)))
+    for key, holder, field in thresholds_of(THRESHOLDS.tolerances):
         unit = field.metadata["unit"]
-        lines.append(f"* `{name}` {text}{'' if unit == '1' else f' {unit}'}: {field.metadata['reason']}")
+        lines.append(
+            f"* `{key}` {getattr(holder, key):g}{'' if unit == '1' else f' {unit}'}: {field.metadata['reason']}"
+        )
     return "\n".join(lines)
 
 
@@ -684,7 +681,7 @@ def _this_test(found: re.Match[str]) -> str:
 KINDS: dict[str, Callable[[str], str]] = {
     "matrix": matrix_table,
     "statements": statements,
-    "thresholds": thresholds_table,
+    "tolerances": tolerances_table,
     "effects": effects_table,
     "priors": priors_table,
     "quantities": quantities_table,

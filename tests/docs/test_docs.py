@@ -135,11 +135,7 @@ def test_outside_the_shell_the_generator_says_where_to_run_it(
 
 
 def test_every_message_section_node_and_command_has_its_table() -> None:
-    from nmt_core.threshold import thresholds_of
     from nmt_diagnose.effects.library import library
-    from nmt_diagnose.thresholds import THRESHOLDS
-    from nmt_extract.judgement.thresholds import THRESHOLDS as JUDGEMENT
-    from nmt_pll.thresholds import THRESHOLDS as LOOPS
     from nmt_rig import rig
 
     shown = {region for page in REFERENCE for region in make_reference.regions(page.read_text(encoding="utf-8"))}
@@ -159,10 +155,7 @@ def test_every_message_section_node_and_command_has_its_table() -> None:
     wanted |= {("rig", name) for name in sections - {"Section"}}
     wanted |= {("python", name) for name in PYTHON}
     wanted |= {("effects", effect.place) for effect in library()} | {("priors", "all"), ("quantities", "modal")}
-    wanted |= {("devices", "all"), ("statements", "all")}
-    wanted |= {("thresholds", path.rpartition(".")[0]) for path, *_ in thresholds_of(THRESHOLDS)}
-    wanted |= {("thresholds", f"loops.{path.rpartition('.')[0]}") for path, *_ in thresholds_of(LOOPS)}
-    wanted |= {("thresholds", f"judgement.{path.rpartition('.')[0]}") for path, *_ in thresholds_of(JUDGEMENT)}
+    wanted |= {("devices", "all"), ("statements", "all"), ("tolerances", "all")}
     wanted.add(("matrix", "tests"))
     assert {region for region in shown if region[0] != "keys"} == wanted
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from robots.simulated_joint import log_columns, robot_file
+from scipy.signal import lfilter
 from tiers import with_quick
 
 pytest.importorskip("mujoco", reason="mujoco is not installed: robots are not tested")
@@ -50,3 +51,32 @@ def test_a_lag_at_the_limit_is_not_stated() -> None:
     assert finding.key == "lag_beyond"
     assert not np.isfinite(finding.size)
     assert all(abs(reading.torque_lag_s) < 0.04 for reading in scores.fit_as_well())
+
+
+def test_drives_that_follow_the_speed_of_the_command_are_not_early(tmp_path: Path) -> None:
+    columns = log_columns(damping=0.6)
+    # kp (c − q) + kd (c' − v) is the law of the simulated drive for a command c that is its own, low-passed by kd / kp.
+    share = 0.002 / (0.002 + float(columns["kd"][0] / columns["kp"][0]))
+    drive, first = columns["des_pos"][:, 0], columns["des_pos"][0, 0]
+    columns["des_pos"] = (first + lfilter([share], [1.0, share - 1.0], drive - first))[:, None]
+    np.savez(tmp_path / "log.npz", **columns)
+    diagnosis = diagnose_robot(robot_file(tmp_path), tmp_path / "log.npz")
+    assert "command_speed" in {finding.key for finding in diagnosis.findings}
+    assert not any(finding.fault for finding in diagnosis.findings)
+    (viscous,) = [term for term in diagnosis.joints[0].terms if term.key == "viscous"]
+    assert viscous.differs
+    assert viscous.value == pytest.approx(0.6, abs=2.0 * viscous.std)
+
+
+@pytest.mark.parametrize(("lag_s", "measured", "words"), [
+    (-0.012, True, "logged torque is 12 ± 0 ms late"), (0.012, True, "logged torque is 12 ± 0 ms early"),
+    (0.012, False, "whole control loop) is 12 ± 0 ms late"),
+])  # fmt: skip
+def test_a_measured_torque_that_acted_before_its_row_was_logged_late(lag_s: float, measured: bool, words: str) -> None:
+    lags = np.arange(-10, 11) * 0.002
+    readings = tuple(Reading(torque_lag_s=round(float(lag), 6)) for lag in lags)
+    relative = 1e-3 + 0.01 * ((lags - lag_s) / 0.01) ** 2
+    scores = ReadingScores(readings, relative, np.tile(relative[:, None], 4), np.tile(relative[:, None], 2), 0.002)
+    (finding,) = reading_findings(scores, 0.002, measured=measured)
+    assert words in finding.sentence
+    assert ("kp" in finding.sentence) is not measured

@@ -77,6 +77,20 @@ def test_what_stays_silences_no_cause(rubbing: RobotDiagnosis, monkeypatch: pyte
     assert verdict_with(rubbing, monkeypatch, unexplained=1e-6)
 
 
+@pytest.mark.parametrize(("share", "cause"), [(0.11, "not known"), (0.01, "as in the model")])
+def test_a_term_that_the_model_lacks_and_that_takes_much_leaves_a_joint_open(
+    rubbing: RobotDiagnosis, share: float, cause: str
+) -> None:
+    verdict = rubbing.joints[0]
+    assert verdict.mechanics is not None
+    term = next(term for term in verdict.terms if term.key == "armature")
+    mechanics = replace(verdict.mechanics, new=frozenset({"armature"}))
+    terms = (replace(term, share=share, differs=False),)
+    opened = replace(verdict, mechanics=mechanics, terms=terms, unchanged=0.12 * verdict.torque)
+    assert opened.cause == cause
+    assert ("armature would take" in opened.difference) is (cause == "not known")
+
+
 def test_a_reading_that_is_a_little_worse_fits_as_well_up_to_its_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     readings = (Reading(), Reading(torque_lag_s=0.002))
     relative = np.array([0.010, 0.0105])

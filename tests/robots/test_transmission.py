@@ -95,7 +95,7 @@ def test_what_is_not_looked_into_is_not_named(
 
 def test_nothing_is_named_beside_a_clock_that_is_off(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     late = Finding("torque_lag", "The torque is late.", 0.008, 0.001, "s", 0.5)
-    monkeypatch.setattr(robot_diagnosis, "reading_findings", lambda scores, held: [late])
+    monkeypatch.setattr(robot_diagnosis, "reading_findings", lambda *_, **__: [late])
     monkeypatch.setattr(robot_diagnosis, "_understood", _plain_reading(robot_diagnosis._understood))
     (joint,) = diagnosed(tmp_path, log_behind(70.0, 0.0, 0.2)).joints
     assert not joint.differs

@@ -10,8 +10,8 @@ import numpy as np
 from nmt_robots.log.joint_log import Array, JointLog, control_law
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.mechanics.motion import Motion
-from nmt_robots.mechanics.readings import HELD, SMOOTH
-from nmt_robots.mechanics.shared_reading import ReadingScores
+from nmt_robots.mechanics.readings import HELD, SMOOTH, DriveTorque, joined
+from nmt_robots.mechanics.shared_reading import ReadingScores, compare_readings
 from nmt_robots.model.robot_model import Joint
 from nmt_robots.thresholds import THRESHOLDS
 
@@ -21,6 +21,8 @@ _DOUBTFUL = 0.15
 """Torque left over, as a share, from which a lag may stand for an unknown cause."""
 _AT_LIMIT = 1.03
 """Of a limit: torque above which it is no limit of the drive, whatever its noise."""
+_FOLLOWS = 0.5
+"""Squared residual with the speed of the command over that without it, below which the drives follow that speed."""
 _ORDINARY_S = 0.002
 """A control loop that holds its torque for a millisecond and a current loop are so late, s."""
 
@@ -88,12 +90,46 @@ def computed_by_law(log: JointLog, joints: Sequence[Joint]) -> tuple[JointLog, l
     return replace(log, torque=None, position_gain=gains[:, 0], velocity_gain=gains[:, 1]), [found]
 
 
-def reading_findings(scores: ReadingScores, held_s: float) -> list[Finding]:
+def with_command_speed(
+    log: JointLog, motion: Motion, scores: ReadingScores, derived: bool
+) -> tuple[JointLog, ReadingScores, list[Finding]]:
+    """The log with the speed of the command as velocity command, where it has none and the drives follow that speed.
+
+    To first order that is a command early by kd / kp, as late as the drives are fast.
+
+    Args:
+        log: as it was read.
+        motion: of the log.
+        scores: of all readings of it.
+        derived: as in :meth:`DriveTorque.candidates`.
+    """
+    if not log.is_arithmetic or log.velocity_command is not None or log.velocity_gain is None:
+        return log, scores, []
+    assert log.position_command is not None
+    led = replace(log, velocity_command=np.gradient(joined(log.position_command), log.step_s, axis=0))
+    found = compare_readings(motion, DriveTorque(led), derived)
+    # With a lag of kd / kp that speed would be as none.
+    best = found.best
+    if max(abs(best.command_lag_s), abs(best.torque_lag_s)) > max(_ORDINARY_S, log.step_s):
+        return log, scores, []
+    least = float(np.min(found.relative))
+    if least > _FOLLOWS * float(np.min(scores.relative)):
+        return log, scores, []
+    share = 1.0 - float(np.sqrt(least / scores.relative[scores.plain]))
+    sentence = (
+        "The log has no velocity command, but the drives follow the speed of the position command: with kd times its "
+        f"derivative {100 * share:.0f} % of the residual of the plain reading is gone, and it is used from here on."
+    )
+    return led, found, [Finding("command_speed", sentence, share, float("nan"), "1", fault=False)]
+
+
+def reading_findings(scores: ReadingScores, held_s: float, measured: bool = False) -> list[Finding]:
     """What all joints together say of how commands and torques are to be read.
 
     Args:
         scores: of all readings.
         held_s: mean time for which the log keeps a command, s.
+        measured: whether the log has the torque: one that acted before its row was logged late.
     """
     best = scores.best
     plain, least = scores.relative[scores.plain], float(np.min(scores.relative))
@@ -137,15 +173,20 @@ def reading_findings(scores: ReadingScores, held_s: float) -> list[Finding]:
         abs(lag) > max(THRESHOLDS.lag_s, 0.75 * scores.step_s, THRESHOLDS.certain * std)
         and share > 0.5 * THRESHOLDS.fits_as_well
     ):
-        what = "torque (or the whole control loop)" if late == "torque_lag_s" else "command"
-        sense = "late" if lag > 0.0 else "early"
+        logged = measured and late == "torque_lag_s"
+        loop = "torque (or the whole control loop)" if late == "torque_lag_s" else "command"
+        sense = "early" if (lag > 0.0) == logged else "late"
         joints = _agreeing(scores, best.command, late)
+        order = (
+            "" if measured else " To first order such a delay is a damping of −kp·δ and an armature of −kd·δ, so "
+            "neither is reported without it."
+        )  # fmt: skip
         found.append(
             Finding(
                 late.removesuffix("_s"),
-                f"The {what} is {1e3 * abs(lag):.3g} ± {1e3 * std:.2g} ms {sense} against the motion in all joints "
-                f"({joints}); read so, {100 * share:.0f} % of the residual of the plain reading is gone. To first "
-                "order such a delay is a damping of −kp·δ and an armature of −kd·δ, so neither is reported without it.",
+                f"The {'logged torque' if logged else loop} is {1e3 * abs(lag):.3g} ± {1e3 * std:.2g} ms {sense} "
+                f"against the motion in all joints ({joints}); read so, {100 * share:.0f} % of the residual of the "
+                f"plain reading is gone.{order}",
                 lag, std, "s", share, fault=bool(sure) and abs(lag - expected) > _ORDINARY_S + 0.25 * expected,
             )
         )  # fmt: skip
@@ -162,7 +203,7 @@ def _agreeing(scores: ReadingScores, command: str, late: str) -> str:
     lags, numbers = scores.among(command, late)
     each = scores.by_joint[numbers]
     known = np.all(np.isfinite(each), axis=0)
-    each_lag = 1e3 * lags[np.argmin(each[:, known], axis=0)]
+    each_lag = 1e3 * np.abs(lags[np.argmin(each[:, known], axis=0)])
     if len(each_lag) < 2:
         return "one joint"
     low, high = np.quantile(each_lag, (0.1, 0.9))

@@ -146,8 +146,17 @@ class JointVerdict:
 
     @property
     def is_as_in_the_model(self) -> bool:
-        """Whether the model as given leaves little enough of the torque that nothing differs."""
-        return not self.differs and self.unchanged < THRESHOLDS.unexplained * self.torque
+        """Whether the model as given leaves little enough of the torque that nothing differs.
+
+        A term that the model does not state has no tolerance: one that takes much leaves the joint open.
+        """
+        new = self.mechanics.new if self.mechanics is not None else frozenset()
+        opened = any(
+            term.key in new and term.impossible == 0.0 and term.share >= THRESHOLDS.smallest_share
+            for term in self.terms
+        )
+        small = self.unchanged < THRESHOLDS.unexplained * self.torque
+        return not self.differs and small and not opened
 
     @property
     def difference(self) -> str:

@@ -16,7 +16,13 @@ from nmt_robots.log.joint_log import Array, JointLog
 from nmt_robots.log.proposal import propose_sidecar
 from nmt_robots.log.robot_sidecar import read_robot_sidecar, sidecar_of_text
 from nmt_robots.log_faults.assignment import assignment_findings
-from nmt_robots.log_faults.drive import computed_by_law, order_findings, reading_findings, torque_findings
+from nmt_robots.log_faults.drive import (
+    computed_by_law,
+    order_findings,
+    reading_findings,
+    torque_findings,
+    with_command_speed,
+)
 from nmt_robots.log_faults.finding import Finding
 from nmt_robots.log_faults.repair import (
     alternation,
@@ -278,6 +284,9 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
         (finding.fault or finding.key == "velocity_late") and finding.key.startswith("velocity") for finding in found
     )
     scores = compare_readings(motion, drive, derived)
+    log, scores, led = with_command_speed(log, motion, scores, derived)
+    drive = DriveTorque(log)
+    found += led
     plain = _plain_left(motion, plain_torque)
     progress("bodies")
     as_given = log, motion
@@ -296,7 +305,7 @@ def diagnose_robot(model: Path, real: Path, progress: Progress = lambda _: None)
     of_all = frozenset() if bodies is None else OF_BODIES
     as_well, results = _understood(motion, drive, scores, believed, log.joints, of_all)
     if as_well[0] == scores.best:
-        found += reading_findings(scores, held_time(log))
+        found += reading_findings(scores, held_time(log), measured=not log.is_arithmetic)
     verdicts = []
     put_in = _put_in(as_given, log, motion, as_well[0])
     delayed = by_shared_delay(log, believed, {number: items[0] for number, items in results.items()})

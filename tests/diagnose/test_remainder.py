@@ -116,5 +116,5 @@ def test_two_laws_are_told_as_what_they_imitate() -> None:
         adequate=False,
     )  # fmt: skip
     text = sentences(Verdict.EFFECT, (), (head,), None, LEFT, (), (), None, (IMITATION,))[1]
-    assert "acts like one sided stop + friction contact" in text
+    assert "acts like one-sided stop + friction contact" in text
     assert text.endswith("; two laws together can imitate one that the library lacks.")

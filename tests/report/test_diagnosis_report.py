@@ -291,7 +291,7 @@ def test_other_words() -> None:
     assert (probability_text(0.9999), probability_text(0.001), probability_text(0.42)) == ("> 99 %", "< 1 %", "42 %")
     assert (sigma_text(8.4), sigma_text(5732.0)) == ("8", "> 100")
     assert parameters_text({"k": Value(1.0, 0.1, "N/m"), "gap": Value(2.0, 0.1, "m")}) == (
-        "k = 1.00 ± 0.10 N/m, gap = 2.00 ± 0.10 m"
+        "k = 1.00 ± 0.10 N/m, clearance = 2.00 ± 0.10 m"
     )
     rig = load_rig("beam")
     assert key_text("local_elements.0.slip_force_n", rig) == "local_elements.joint.slip_force_n"

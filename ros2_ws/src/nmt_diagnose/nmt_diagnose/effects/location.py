@@ -21,7 +21,12 @@ def joined(words: Iterable[str]) -> str:
     return " + ".join(words)
 
 
-_WORDS = {"second_friction_contact": "friction contact", "missing_mode": "a further mode"}
+_WORDS = {
+    "second_friction_contact": "friction contact",
+    "missing_mode": "a further mode",
+    "one_sided_stop": "one-sided stop",
+    "two_sided_gap": "two-sided clearance",
+}
 """Effects with other words than their name: without friction in the model a contact is the first; a mode is lacking."""
 
 

@@ -34,7 +34,8 @@ _NO_GAP = (Verdict.NONE, Verdict.CALIBRATION)
 QUESTIONS = ("Where", "Which", "How far")
 
 _NAMED = 4
-_SYMBOLS = {"factor": "factor on the model's value", "tau": "delay τ", "g": "relative error g", "e": "relative error e"}
+_SYMBOLS = {"factor": "factor on the model's value", "tau": "delay τ", "g": "relative error g", "e": "relative error e",
+            "gap": "clearance"}  # fmt: skip
 """What parameters mean whose symbol alone does not say it."""
 _LETTERS = {"f": "force", "x": "displacement", "v": "velocity", "a": "acceleration"}
 

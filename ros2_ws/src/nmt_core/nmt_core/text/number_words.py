@@ -34,13 +34,27 @@ def significant(value: float, digits: int = 4) -> str:
     return f"{mantissa}·{power_of_ten(int(exponent.replace('−', '-')))}" if exponent else mantissa
 
 
+_SMALLER = {
+    "kg": ((1e-4, 1e6, "mg"), (0.1, 1e3, "g")),
+    "m": ((1e-5, 1e6, "µm"), (0.01, 1e3, "mm")),
+    "s": ((1e-4, 1e6, "µs"), (0.1, 1e3, "ms")),
+}
+"""Units of small values: below which size, factor, unit."""
+
+
 def value_text(value: float, std: float, unit: str = "") -> str:
-    """``(2.00 ± 0.27)·10⁶ N/m³``: two digits of the uncertainty, a common power of ten where it saves zeros."""
-    tail = "" if unit in ("", "1") else f" {unit}"
+    """``(2.00 ± 0.27)·10⁶ N/m³``: two digits of the uncertainty, a common power of ten where it saves zeros.
+
+    Small masses, lengths and times are in g, mm, ms and so on.
+    """
     if not math.isfinite(value):
         return "—"
     known = math.isfinite(std) and std > 0.0
     size = max(abs(value), std) if known else abs(value)
+    for largest, factor, smaller in _SMALLER.get(unit, ()):
+        if 0.0 < size < largest:
+            return value_text(value * factor, std * factor, smaller)
+    tail = "" if unit in ("", "1") else f" {unit}"
     exponent = math.floor(math.log10(size)) if size > 0.0 else 0
     exponent = 0 if -3 <= exponent < 5 else 3 * math.floor(exponent / 3)
     scale = 10.0**exponent

@@ -262,7 +262,8 @@ def _real(values: ComplexArray) -> FloatArray:
 def _riccati(a: FloatArray, c: FloatArray, q: FloatArray) -> FloatArray:
     """Covariance of the predicted state for unit noise of the channels, by doubling.
 
-    (Chu, Fan, Lin and Wang, Int. J. Control 77 (2004) 767.)
+    (Chu, Fan, Lin and Wang, Int. J. Control 77 (2004) 767.) The solver of scipy by Schur vectors fails here: poles
+    close to the unit circle and a walk of 1e-4 leave pencils that it cannot order.
     """
     turn, g, h = a.T.copy(), c.T @ c, q.copy()
     size = len(a)

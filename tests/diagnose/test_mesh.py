@@ -7,13 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from diagnose.predicted_observations import observations_of_model
+from diagnose.predicted_tests import rows_of
 
+from nmt_core.messages.blocks import Quantity
 from nmt_diagnose.chain.chain_columns import linear_chain
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import MATTERS, DiagnosisSettings
 from nmt_diagnose.fit.fitting import Metric
 from nmt_diagnose.ledger.diagnosis import Verdict
+from nmt_diagnose.measurements.channel import MeasuredChannel
+from nmt_diagnose.measurements.driven_record import DrivenRecord
+from nmt_diagnose.measurements.measurement import Observations
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
+from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
 from nmt_rig.rig import Rig, load_rig
 
@@ -40,6 +46,25 @@ def test_a_recording_of_a_finer_mesh_is_healthy() -> None:
     assert np.median(column[small] / moved[small]) == pytest.approx(15.0 / 16.0, abs=0.03)
     found = diagnose_observations(COARSE, observations, DiagnosisSettings(look_ahead=False)).diagnosis
     assert found.verdict in (Verdict.NONE, Verdict.CALIBRATION)
+
+
+def test_the_mesh_is_an_error_of_records_too() -> None:
+    count, rate = 4000, 4000.0
+    tap = np.where(np.arange(count) < 20, np.sin(np.pi * np.arange(count) / 20), 0.0)
+    channel = MeasuredChannel("a", Quantity.ACCELERATION, 2)
+    force = MeasuredChannel("f", Quantity.FORCE, 2)
+    test = DrivenRecord("tap", 2, rate, force, tap, (channel,), np.array([0.0, count]), responses=tap[None])
+    picks = np.arange(20, count - 20, 7)
+    rows = replace(rows_of([(0, 0, 0, 1, Part.SAMPLE) for _ in picks]), time_s=picks / rate)
+    values = Forward((test,), rows).predict(fine(COARSE)).values
+    size = float(np.std(values))
+    chains = (MeasuringChain(),)
+    found = Observations((test,), rows, values, np.full(picks.size, 1e-3 * size), np.zeros(picks.size), chains=chains)
+    near = Forward((test,), rows).predict(COARSE)
+    chain = linear_chain(found, COARSE, near)
+    column, moved = chain.columns[:, chain.names.index("mesh")], values - near.values
+    assert np.std(moved) > 0.002 * size
+    assert np.std(moved - 16.0 / 15.0 * column) < 0.1 * np.std(moved)
 
 
 def test_a_normal_matrix_without_an_inverse_is_one_of_rounding() -> None:

@@ -22,7 +22,13 @@ from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.driven_record import DrivenRecord, RecordPredictor, head_of, starts_in_motion
-from nmt_diagnose.observations.noise.input_noise import InputNoise, input_noise, noise_lines, propagated_noise
+from nmt_diagnose.observations.noise.input_noise import (
+    InputNoise,
+    input_noise,
+    noise_lines,
+    noise_part,
+    propagated_noise,
+)
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.prediction.parts_cache import PartsCache
@@ -251,6 +257,33 @@ def test_noise_that_is_not_in_the_response_is_none() -> None:
     spectrum[0, 20:] = 1.0
     found = propagated_noise(InputNoise(1e-3, RATE / 128, spectrum), response[None], lines)
     assert found[0] < 2.0 * math.sqrt(1e-12 * 5 * RATE / 128)
+
+
+def test_noise_beside_a_tap_never_drove_the_structure(tmp_path: Path) -> None:
+    """What a noisy input adds to the prediction is known where and when the input is nothing else: after a tap."""
+    rig, rng, count = rig_in(tmp_path), np.random.default_rng(12), 8192
+    noise = 2e-4 * rng.standard_normal(count)
+    volts = np.where(np.arange(count) < count // 8, band_noise(count, 4, 0.02), 0.0)
+    bag = imported(tmp_path, volts + noise, linear_response(volts), [(0, count)])
+    observations = read_observations([bag], rig)
+    (test,) = observations.tests
+    assert isinstance(test, DrivenRecord)
+    own = np.interp(np.arange(test.noise.size) * RATE / test.sample_rate, np.arange(count), noise)
+    assert np.corrcoef(own, test.noise)[0, 1] > 0.8
+    (name,) = (found for found in record_errors(observations, rig) if found.startswith("noise of "))
+    column = record_errors(observations, rig)[name]
+    apart = observations.values - Forward(observations.tests, observations.rows).predict(rig).values
+    assert np.std(apart - column) < 0.5 * np.std(apart)
+
+
+def test_noise_is_no_more_than_its_density() -> None:
+    rng = np.random.default_rng(13)
+    noise = rng.standard_normal(20_000)
+    density = 2.0 / RATE
+    assert np.var(noise_part(noise, density, RATE)) == pytest.approx(1.0, abs=0.05)
+    loud = noise + 30.0 * np.sin(0.3 * np.arange(noise.size))
+    assert abs(np.corrcoef(noise_part(loud, density, RATE), loud - noise)[0, 1]) < 0.02
+    assert not noise_part(noise, 0.0, RATE).any()
 
 
 def test_a_short_record_tells_no_noise_of_its_input() -> None:

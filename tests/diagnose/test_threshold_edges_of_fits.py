@@ -17,8 +17,7 @@ from diagnose.test_threshold_edges import same_class
 from diagnose.test_warnings import GAP
 from scipy.special import ndtri
 
-from nmt_diagnose.chain import chain_columns
-from nmt_diagnose.chain.chain_columns import ChainBuilder
+from nmt_diagnose.chain import form_errors
 from nmt_diagnose.chain.modes_left_out import ModesLeftOut
 from nmt_diagnose.effects.library import effect_named
 from nmt_diagnose.effects.parametrisation import Parametrisation
@@ -228,14 +227,13 @@ def compared_with(log_ratio: float) -> float:
 
 def change_by_a_finer_mesh(change: float) -> float:
     """What a finer mesh counts for where it changes a row by so much."""
-    rig = load_rig("beam")
-    found: Any = SimpleNamespace(
-        rig=rig, base=SimpleNamespace(values=np.zeros(1)),
-        tests=SimpleNamespace(tests=(), rows=None, forward=SimpleNamespace(difference=np.subtract)),
+    tests: Any = SimpleNamespace(
+        rig=load_rig("beam"), tests=(), rows=SimpleNamespace(part=np.array([Part.PHASE])),
+        forward=SimpleNamespace(difference=np.subtract),
     )  # fmt: skip
     finer = SimpleNamespace(predict=lambda rig: SimpleNamespace(values=np.array([change])))
-    with patch.object(chain_columns, "Forward", lambda *_: finer):
-        return float(ChainBuilder._mesh(found)["mesh"][0])
+    with patch.object(form_errors, "Forward", lambda *_: finer):
+        return float(form_errors.mesh(tests, SimpleNamespace(values=np.zeros(1)))["mesh"][0])  # type: ignore[arg-type]
 
 
 EDGES: dict[str, tuple[Callable[[], Any], Any]] = {

@@ -280,7 +280,7 @@ def hum_of_model(share: float) -> float:
 
 def shape_modes(ratio: float) -> int:
     """Modes whose shapes may be wrong, of one below the rows and one above them by a ratio."""
-    errors: Any = SimpleNamespace(chain=SimpleNamespace(rows=SimpleNamespace(frequency_hz=np.array([10.0, 20.0]))))
+    errors: Any = SimpleNamespace(chain=SimpleNamespace(frequencies_hz=np.array([10.0, 20.0])))
     modes = [SimpleNamespace(frequency_hz=10.0 / ratio), SimpleNamespace(frequency_hz=20.0 * ratio)]
     return len(ShapeErrors.modes_near(errors, SimpleNamespace(modes=modes)))  # type: ignore[arg-type]
 

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from nmt_core.errors import BenchError
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
@@ -30,8 +29,7 @@ from nmt_diagnose.chain.chain_tests import (
     with_phase_step,
 )
 from nmt_diagnose.chain.coupled_modes import CoupledModes
-from nmt_diagnose.chain.modes_left_out import ModesLeftOut
-from nmt_diagnose.chain.shape_errors import ShapeErrors
+from nmt_diagnose.chain.form_errors import form_errors
 from nmt_diagnose.effects.calibration import CalibrationParameter
 from nmt_diagnose.effects.location import LocationKind
 from nmt_diagnose.measurements.measurement import (
@@ -50,12 +48,12 @@ from nmt_diagnose.prediction.forward import Forward, Prediction
 from nmt_diagnose.prediction.parts_cache import PartsCache
 from nmt_diagnose.prediction.prediction_settings import PredictionSettings
 from nmt_diagnose.thresholds import THRESHOLDS
-from nmt_rig.rig import BeamSection, Rig, SensorSection
+from nmt_rig.rig import Rig, SensorSection
 
 _PIEZOELECTRIC = (Quantity.FORCE, Quantity.ACCELERATION)  # sensors that pass no constants: their phase leads
 _IMAGE = "image"
 _ADDED = (_IMAGE, CoupledModes.__name__)
-_OF_A_TEST = ("start ", "settling ", "phase of ")  # as well known as the test's own samples tell them
+_OF_A_TEST = ("start ", "settling ", "phase of ", "noise of ")  # as well known as the test's own samples tell them
 # Orders of images that are followed, the nearest first; those beyond them are one constant for each channel.
 _IMAGE_ORDERS = (-1, 1, -2, 2)
 _GAIN_STEP, _LEAD_STEP, _CLOCK_STEP, _SHIFT_STEP = 1e-3, 1e-3, 1e-5, 1e-6
@@ -133,13 +131,14 @@ def linear_chain(observations: Observations, rig: Rig, prediction: Prediction) -
         rig: an explanation of it.
         prediction: of that explanation.
     """
-    numbers = {
+    chains = {
         number: chain
         for number, chain in enumerate(observations.chains)
-        if chain is not None and is_linear(observations.tests[number])
+        if chain is not None and not observations.tests[number].reduced
     }
-    builder = ChainBuilder(observations, rig, prediction, numbers) if numbers else None
-    found = builder.found() if builder else {}
+    linear = {number: chain for number, chain in chains.items() if is_linear(observations.tests[number])}
+    found = ChainBuilder(observations, rig, prediction, linear).found() if linear else {}
+    found |= form_errors(ChainTests(observations, rig, chains), prediction) if chains else {}
     found.update(_unsettled(observations))
     found.update(_phase_at_lock(observations, rig, prediction))
     for name, column in record_errors(observations, rig).items():
@@ -244,10 +243,7 @@ class ChainBuilder:
     def found(self) -> dict[str, FloatArray]:
         """All columns by name, of all rows."""
         found = self._channels() | self._clock() | self._voltage() | self._hold() | self._images()
-        found |= self.aims() | self._harmonics() | self._sweeps() | self._mesh()
-        for module in (ModesLeftOut(self.tests), ShapeErrors(self.tests), CoupledModes(self.tests)):
-            name = type(module).__name__
-            found |= {f"{name} {k}": column for k, column in enumerate(module.columns(self.base))}
+        found |= self.aims() | self._harmonics() | self._sweeps()
         return {name: self.tests.full(column) for name, column in found.items()}
 
     def _changed(self, rig: Rig, step: float) -> FloatArray:
@@ -395,25 +391,6 @@ class ChainBuilder:
                 angle = float(images[selected & (self.rows.level == level)][0].imag)
                 result[(self.rows.test == number) & (self.rows.level == level)] = sign * angle
         return result
-
-    def _mesh(self) -> dict[str, FloatArray]:
-        """What a beam's mesh of half the element length changes: so much its own may be off by."""
-        if not isinstance(self.rig.structure, BeamSection):
-            return {}
-        tests = self.tests
-        finer = PredictionSettings(mesh_refinement=2 * self.rig.structure.mesh_refinement)
-        try:
-            moved = Forward(tests.tests, tests.rows, finer).predict(self.rig).values
-        except (BenchError, ValueError, ArithmeticError, np.linalg.LinAlgError):
-            return {}
-        # Near a sharp resonance or zero the change is not proportional to the error.
-        return {
-            "mesh": np.clip(
-                np.nan_to_num(tests.forward.difference(moved, self.base.values)),
-                -THRESHOLDS.misfit.largest_mesh_change,
-                THRESHOLDS.misfit.largest_mesh_change,
-            )
-        }
 
     def aims(self) -> dict[str, FloatArray]:
         """What the loop of each test held, all levels alike: it measured with a chain of its own.

@@ -92,6 +92,13 @@ class ChainTests:
         moved = with_levels(self.tests, with_phase_step)
         return np.nan_to_num(self.moved(moved, base) / PHASE_STEP)
 
+    @cached_property
+    def frequencies_hz(self) -> FloatArray:
+        """Those of the rows, and the band of each record, Hz."""
+        known = self.rows.frequency_hz[self.rows.frequency_hz > 0.0]
+        bands = [test.record.band_hz for test in self.tests if test.record is not None]
+        return np.concatenate([known, *bands])
+
     def rows_of(self, channel: str) -> BoolArray:
         """Rows of a channel, in whatever test."""
         selected = np.zeros(len(self.rows), dtype=bool)

@@ -74,8 +74,7 @@ class CoupledModes:
 
     def pairs(self, frequencies_hz: FloatArray) -> list[tuple[int, int]]:
         """Modes about the frequencies of the rows, two and two, that are near each other."""
-        known = self.chain.rows.frequency_hz
-        known, reach = known[known > 0.0], THRESHOLDS.misfit.shape_reach
+        known, reach = self.chain.frequencies_hz, THRESHOLDS.misfit.shape_reach
         if not known.size:
             return []
         near = np.flatnonzero(

@@ -53,8 +53,7 @@ class ShapeErrors:
 
     def modes_near(self, structure: ModalSection) -> list[int]:
         """Modes about the frequencies of the rows."""
-        frequency = self.chain.rows.frequency_hz
-        frequency = frequency[frequency > 0.0]
+        frequency = self.chain.frequencies_hz
         if not frequency.size:
             return []
         low, high = (

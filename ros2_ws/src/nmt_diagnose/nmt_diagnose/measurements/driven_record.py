@@ -21,12 +21,25 @@ from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
 from nmt_core.tolerances import TOLERANCES
 from nmt_core.vocabulary import TestKind
 from nmt_diagnose.measurements.channel import MeasuredChannel
-from nmt_diagnose.measurements.measurement import LevelSeries, Observations, Record, RowTable, empty, joined
+from nmt_diagnose.measurements.measurement import (
+    LevelSeries,
+    Observations,
+    Record,
+    RowTable,
+    empty,
+    joined,
+    occupied_band,
+)
 from nmt_diagnose.observations.bag_windows import BagWindows
 from nmt_diagnose.observations.channels.bag_samples import SampleStretch
 from nmt_diagnose.observations.channels.measuring_chain import MeasuringChain
 from nmt_diagnose.observations.model_view import ModelView
-from nmt_diagnose.observations.noise.input_noise import input_noise, noise_lines, propagated_noise
+from nmt_diagnose.observations.noise.input_noise import (
+    InputNoise,
+    input_noise,
+    noise_lines,
+    propagated_noise,
+)
 from nmt_diagnose.observations.observables import Part, Place, Rows
 from nmt_diagnose.prediction.converter import expected_quantised
 from nmt_diagnose.prediction.initial_state import InitialState, at_rest, initial_state
@@ -185,7 +198,8 @@ class RecordPredictor(SamplePredictor):
     def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
 
-        Errors are zero, gain and delay of each sensor and the state in which the record begins.
+        Errors are zero, gain and delay of each sensor, the noise of the input, which never drove the structure, and the
+        state in which the record begins.
 
         Args:
             rig: about whose motion they act.
@@ -200,6 +214,10 @@ class RecordPredictor(SamplePredictor):
             return self._of_rows((self._recorded(moved, parts, rate) - base) / _ERROR_STEP)
 
         found: dict[str, FloatArray] = {}
+        if self.test.noise.any():
+            added = -_ERROR_STEP * self._between(self.test.noise, substeps)
+            moved = self._stepped(parts, rate, substeps, offset=added)[0]
+            found[f"noise of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
         if chain is not None and self.test.zeros.size:
             source = float(self.test.zeros[0])
             if source > 0.0:
@@ -259,7 +277,7 @@ class RecordPredictor(SamplePredictor):
         rate: float,
         substeps: int,
         state: ComplexArray | None = None,
-        offset: float = 0.0,
+        offset: float | FloatArray = 0.0,
         louder: float = 0.0,
         errors: bool = True,
     ) -> tuple[FloatArray, InitialState]:
@@ -270,7 +288,7 @@ class RecordPredictor(SamplePredictor):
             rate: of the input, Hz.
             substeps: steps per sample of it.
             state: of the poles, to begin with, (k,); None = estimated from the first samples.
-            offset: what is added to the input, in its unit.
+            offset: what is added to the input, in its unit; one value or (n substeps,).
             louder: share of the input that is added to it.
             errors: whether those of the begin are wanted where the model starts at rest.
         """
@@ -305,14 +323,16 @@ class RecordPredictor(SamplePredictor):
 
     def _interpolated(self, substeps: int) -> FloatArray:
         if substeps not in self._inputs:
-            samples = np.asarray(self.test.input, dtype=np.float64)
-            found = (
-                samples
-                if substeps == 1
-                else np.asarray(resample_poly(samples, substeps, 1, window=("kaiser", 10.0), padtype="line"))
-            )
-            self._inputs[substeps] = np.ascontiguousarray(found)
+            self._inputs[substeps] = self._between(self.test.input, substeps)
         return self._inputs[substeps]
+
+    @staticmethod
+    def _between(samples: FloatArray, substeps: int) -> FloatArray:
+        """Samples of the input with steps between them."""
+        if substeps == 1:
+            return np.ascontiguousarray(samples, dtype=np.float64)
+        fine = resample_poly(samples, substeps, 1, window=("kaiser", 10.0), padtype="line")
+        return np.ascontiguousarray(fine, dtype=np.float64)
 
 
 def _through_sensors(values: FloatArray, rate: float, chains: FloatArray) -> FloatArray:
@@ -401,9 +421,7 @@ def independent_values(samples: FloatArray, sample_rate: float) -> int:
         samples: of one channel, (n,), in any unit.
         sample_rate: Hz.
     """
-    frequency, power = welch(samples - samples.mean(), sample_rate, nperseg=min(samples.size, 1024))
-    share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
-    highest = float(frequency[: int(np.searchsorted(share, 0.99)) + 1][-1])
+    _, highest = occupied_band(samples, sample_rate)
     return max(THRESHOLDS.reading.record_fewest_rows, int(2.0 * highest * samples.size / sample_rate))
 
 
@@ -416,9 +434,7 @@ def white_noise(samples: FloatArray, sample_rate: float) -> float:
 
 def refinement(response: FloatArray, sample_rate: float) -> int:
     """Power of two by which the input must be finer for straight lines to do, where the response has its power."""
-    frequency, power = welch(response - response.mean(), sample_rate, nperseg=min(response.size, 1024))
-    share = np.cumsum(power) / np.sum(power)
-    highest = float(frequency[np.searchsorted(share, 0.99)])
+    _, highest = occupied_band(response, sample_rate)
     wanted = math.pi * highest / math.sqrt(3.0 * THRESHOLDS.reading.record_hold_error) / sample_rate
     factor: int = 2 ** max(0, math.ceil(math.log2(max(wanted, 1e-9))))
     return min(THRESHOLDS.reading.record_finest_steps, factor)
@@ -483,16 +499,17 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
     source_samples = stretch.row(source.name)
     amplitude = [float(np.std(source_samples[low:high])) for low, high in pairwise(bounds)]
     model_channel = channels.get(source.name, source)
-    propagated = _from_input(source_samples, responses, stretch.sample_rate, model_channel, present, view)
+    noise = input_noise(source_samples, responses, stretch.sample_rate)
+    propagated = _from_input(noise, stretch, model_channel, present, view)
     table = RowTable()
     for row, channel in enumerate(present):
         samples = stretch.row(recorded[channel.name])
         samples = samples - samples.mean()
-        noise = math.hypot(white_noise(samples, stretch.sample_rate), float(propagated[row]))
+        std = math.hypot(white_noise(samples, stretch.sample_rate), float(propagated[row]))
         floor = settings.floors.record * float(np.std(samples))
         for index, segment in zip(indices, level, strict=True):
             table.add(
-                Part.SAMPLE, float(samples[index]), noise, floor,
+                Part.SAMPLE, float(samples[index]), std, floor,
                 Place(int(segment), (stretch.first_sample + int(index)) / stretch.sample_rate, 0.0, amplitude[segment]),
                 row,
             )  # fmt: skip
@@ -505,6 +522,7 @@ def _one(name: str, stretch: SampleStretch, bag: BagWindows, budget: int) -> Obs
         sample_rate=factor * stretch.sample_rate,
         input_channel=model_channel,
         input=finer(source_samples, factor, _PADDING_SAMPLES),
+        noise=finer(noise.known, factor, _PADDING_SAMPLES),
         channels=tuple(present),
         segment_bounds=factor * bounds.astype(np.float64),
         start_s=stretch.start_s,
@@ -551,16 +569,14 @@ def _zero(samples: FloatArray, channel: MeasuredChannel) -> float:
 
 
 def _from_input(
-    source: FloatArray,
-    responses: FloatArray,
-    sample_rate: float,
+    noise: InputNoise,
+    stretch: SampleStretch,
     source_channel: MeasuredChannel,
     channels: Sequence[MeasuredChannel],
     view: ModelView,
 ) -> FloatArray:
-    """Standard deviation of each response caused by the noise of the measured input, (channels,)."""
-    noise = input_noise(source, responses, sample_rate)
-    lines = noise_lines(view.frequencies_hz, sample_rate, source.size / sample_rate)
+    """Standard deviation of each response caused by the noise of the measured input that is not known, (channels,)."""
+    lines = noise_lines(view.frequencies_hz, stretch.sample_rate, stretch.samples / stretch.sample_rate)
     if source_channel.quantity is not Quantity.FORCE:
         return propagated_noise(noise, view.responses(channels, lines), lines)
     force = MeasuredChannel("force", Quantity.FORCE, view.rig.drive_point)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import welch
 
 from nmt_core.messages.blocks import Quantity
 from nmt_core.numerics.arrays import ComplexArray, FloatArray, IntArray
@@ -475,6 +476,7 @@ class Record(Driven):
         segment_bounds: first input sample of each scored segment and the end of the last, shape (segments + 1,).
         start_s: time of the first sample on the clock of its bag, s: an observable of time t is sample
             (t − start_s) · sample_rate of the input.
+        noise: what of the input is known to be its noise, shape (n,), in its unit; empty = nothing.
         zeros: standard deviation of the zero of the input and of each channel, shape (1 + channels,), in their units;
             empty = they have none. Where a force drove, the observables are without the mean of their channel, which
             is part of its zero.
@@ -502,6 +504,7 @@ class Record(Driven):
     channels: tuple[MeasuredChannel, ...]
     segment_bounds: FloatArray
     start_s: float = 0.0
+    noise: FloatArray = field(default_factory=lambda: np.zeros(0))
     zeros: FloatArray = field(default_factory=lambda: np.zeros(0))
     limits: FloatArray = field(default_factory=lambda: np.zeros(0))
     head: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
@@ -520,6 +523,13 @@ class Record(Driven):
     def record(self) -> Record:
         """Itself."""
         return self
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """Frequencies between which it has power, Hz: of its channels, or of its input where they are not kept."""
+        rate = self.sample_rate / (self.head_stride if self.responses.size else 1)
+        bands = [occupied_band(row, rate) for row in (self.responses if self.responses.size else (self.input,))]
+        return min(low for low, _ in bands), max(high for _, high in bands)
 
     @property
     def signals(self) -> dict[str, FloatArray]:
@@ -544,6 +554,18 @@ class Record(Driven):
         names = (self.input_channel.name, *(channel.name for channel in self.channels))
         zeros = {f"zero of {it} in {self.name}": float(std) for it, std in zip(names, self.zeros, strict=False)}
         return self.predictor(rows, settings).errors(rig, cache, chain), zeros
+
+
+def occupied_band(samples: FloatArray, sample_rate: float) -> tuple[float, float]:
+    """Frequencies below and above which samples, (n,), have a hundredth of their power, Hz."""
+    frequency, power = welch(samples - samples.mean(), sample_rate, nperseg=min(samples.size, 1024))
+    share = np.cumsum(power) / max(float(np.sum(power)), 1e-300)
+    low, high = np.searchsorted(share, (_BEYOND_BAND, 1.0 - _BEYOND_BAND))
+    return float(frequency[low]), float(frequency[: high + 1][-1])
+
+
+_BEYOND_BAND = 0.01
+"""Share of the power of samples on either side of their band."""
 
 
 def axis_of_amplitudes(channel: MeasuredChannel, amplitudes: FloatArray) -> CurveAxis:

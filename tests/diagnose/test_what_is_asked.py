@@ -22,9 +22,11 @@ from nmt_diagnose.fit.fitting import best_chain_errors
 from nmt_diagnose.fit.low_level_modes import LowLevelModes
 from nmt_diagnose.fit.model_alone import free_parameters, model_alone
 from nmt_diagnose.fit.own_chain import OwnChains
+from nmt_diagnose.ledger import size
 from nmt_diagnose.ledger.diagnosis import Ranked, Verdict
 from nmt_diagnose.ledger.rules import OF_EFFECTS, WITHIN, pass_all
 from nmt_diagnose.ledger.size import (
+    Objection,
     Size,
     compared_with_simpler,
     contradiction,
@@ -379,6 +381,18 @@ def test_what_lines_leave_is_no_noise_however_much_they_scatter() -> None:
     assert contradiction(data, scattered, wanted) is not None
     with moved_threshold("verdict.credible_noise_scale", 1e3):
         assert contradiction(data, scattered, wanted) is None
+
+
+def test_what_a_law_takes_of_unseen_samples_is_no_noise_of_theirs(monkeypatch: pytest.MonkeyPatch) -> None:
+    search, null = searched_model()
+    observations, wanted = search.data.observations, DiagnosisSettings().matters
+    rows = replace(observations.rows, part=np.full(len(observations.rows), Part.SAMPLE))
+    values = null.fit.prediction.values + 20.0 * search.data.sigma * (-1.0) ** np.arange(len(rows))
+    data = replace(search.data, observations=replace(observations, values=values, rows=rows))
+    left = FittedExplanation((), replace(null.fit, errors=best_chain_errors(data, null.fit.prediction.values)))
+    monkeypatch.setattr(size, "left_over", lambda *_: (Objection("samples", "response", 0.5),))
+    assert contradiction(data, left, wanted) is None
+    assert contradiction(data, left, wanted, noise=1.0) is not None
 
 
 def test_what_a_sensor_adds_and_does_not_matter_is_not_what_the_model_lacks() -> None:

@@ -491,7 +491,8 @@ class _Sets:
             asked = [n for k, n in enumerate(found) if k < _JUDGED or self.columns[n].values.shape[1] == 1]
             more = [other for number in asked for other in self._following(number)]
             if more:
-                promises = np.append(promise[found], self._promise(start, self.stacked(more)))
+                # They count as two causes.
+                promises = np.append(promise[found], self._promise(start, self.stacked(more)) - self._price)
                 every = zip(promises.tolist(), [*found, *more], strict=True)
                 found = [number for _, number in sorted(every, key=lambda one: -one[0])]
             self._ranked[start.numbers] = found

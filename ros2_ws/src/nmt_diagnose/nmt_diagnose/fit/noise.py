@@ -174,7 +174,7 @@ def _kind(test: Measurement, part: Part, channel: int) -> str:
     if part in FUNDAMENTAL and test.lines is not None and test.lines.noise_group:
         return f"{test.lines.noise_group} {test.channels[channel].name}"
     if part is Part.SAMPLE:
-        return f"{part.facts.noise} {channel}"
+        return f"{part.facts.noise} of {test.channels[channel].name}"
     # Phases of all responses of a window are off together where the loop stood elsewhere, that of the force hardly.
     force = part.facts.half and channel >= 0 and test.channels[channel].quantity is Quantity.FORCE
     return f"{part.facts.noise}{' of the force' if force else ''}"

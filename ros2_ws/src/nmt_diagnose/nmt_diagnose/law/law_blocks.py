@@ -34,22 +34,24 @@ class Block:
         terms: its terms.
         refined: numbers of the parameters of its terms, 1 or 2, that are moved to where the fit is best.
         reach: logarithm of the factor by which they are moved at most.
+        half: of the range of the channel that its coefficients follow.
     """
 
     name: str
     terms: tuple[Term, ...]
     refined: tuple[int, ...] = ()
     reach: float = 0.4
+    half: float = 0.0
 
     @property
     def by(self) -> str:
         """Measured channel that its coefficients follow; empty = none."""
         return self.terms[-1].by
 
-    def following(self, channel: str, about: float) -> Block:
-        """The block with coefficients that change with a measured channel, and are its strengths at a value of it."""
-        changing = (replace(term, by=channel, about=about) for term in self.terms)
-        return replace(self, terms=(*self.terms, *changing))
+    def following(self, channel: str, low: float, high: float) -> Block:
+        """The block with coefficients that change with a measured channel, and are its strengths in its middle."""
+        changing = (replace(term, by=channel, about=0.5 * (low + high)) for term in self.terms)
+        return replace(self, terms=(*self.terms, *changing), half=0.5 * (high - low))
 
     @property
     def bounded(self) -> bool:
@@ -204,8 +206,8 @@ class BlockColumns(Columns):
         """The columns of a block at a place, by the name of its family."""
         freed = 0 if asked and _has_exponent(block) else len(block.refined)
         return cls(
-            place, name, along.columns(block.terms), signed=signed([block]), freed=freed, causes=2 if block.by else 1,
-            along=along, block=block, reach=reach, asked=asked,
+            place, name, along.columns(block.terms) @ passive([block]), signed=signed([block]), freed=freed,
+            causes=2 if block.by else 1, along=along, block=block, reach=reach, asked=asked,
         )  # fmt: skip
 
     @classmethod
@@ -242,24 +244,15 @@ class BlockColumns(Columns):
         return BlockColumns.of(self.place, self.term, self.along, block, reach, False)
 
     def allows(self, coefficients: FloatArray) -> bool:
-        """Whether the block has a force, contacts their spring, and stays passive along a channel that it follows."""
-        block, strengths = self.block, dict(zip(self.block.terms, coefficients.tolist(), strict=True))
-        if not (strengths[block.terms[0]] if block.contact else np.any(coefficients)):
-            return False
-        if not block.by:
-            return True
-        low, high = self.along.range_of(block.by)
-        return all(
-            abs(strengths.get(replace(term, by="", about=0.0), 0.0)) * (1.0 + _BELOW) >= abs(value) * 0.5 * (high - low)
-            for term, value in strengths.items()
-            if term.by and not term.form.signed
-        )
+        """Whether the block has a force, contacts their spring."""
+        return bool(coefficients[0] if self.block.contact else np.any(coefficients))
 
     def shorter(self, coefficients: FloatArray) -> list[BlockColumns]:
         """The block with the terms that act, and these without one of them; with an exponent that is not fitted."""
         if not self.along.of_law:
             return []
-        terms = [term for term, value in zip(self.block.terms, coefficients, strict=True) if value != 0.0]
+        strengths = passive([self.block]) @ coefficients
+        terms = [term for term, value in zip(self.block.terms, strengths, strict=True) if value != 0.0]
         some = [terms] if len(terms) < len(self.block.terms) else []
         for term in terms if len(terms) > 1 else ():
             if term.by or not any(other.by and replace(other, by="", about=0.0) == term for other in terms):
@@ -283,7 +276,7 @@ class BlockColumns(Columns):
             ends = self.along.range_of(plain)
             # Where a channel is of one sign its magnitude says the same.
             if plain == channel or ends[0] * ends[1] < 0.0:
-                found.append(self._of(block.following(channel, 0.5 * (low + high))))
+                found.append(self._of(block.following(channel, low, high)))
         return found
 
 
@@ -300,6 +293,25 @@ def _reach(block: Block, below: Block, above: Block) -> tuple[float, float]:
     return math.log(max(ends[0] / size, 0.5)), math.log(ends[1] / size)
 
 
+def passive(blocks: Sequence[Block]) -> FloatArray:
+    """Coefficients of terms by those that are fitted, (k, k).
+
+    What follows a channel is fitted by its values at both ends of the range, which are not negative where the force is
+    passive: the rest of a model's own damper, whose mean is an error of the model, counts as such.
+    """
+    terms = [term for block in blocks for term in block.terms]
+    result = np.eye(len(terms))
+    start = 0
+    for block in blocks:
+        for k, term in enumerate(block.terms):
+            if term.by and not term.signed:
+                pair = start + np.array([block.terms.index(replace(term, by="", about=0.0)), k])
+                share = (1.0 + _BELOW) / block.half
+                result[np.ix_(pair, pair)] = [[1.0, 1.0], [-share, share]]
+        start += len(block.terms)
+    return result
+
+
 def signed(blocks: Sequence[Block]) -> BoolArray:
-    """Coefficients of blocks that may have either sign, (k,)."""
+    """Fitted coefficients of blocks that may have either sign, (k,)."""
     return np.array([term.signed for block in blocks for term in block.terms], bool)

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from nmt_core.numerics.arrays import FloatArray
-from nmt_diagnose.law.law_blocks import signed
 from nmt_diagnose.law.record_search import RecordLaw, RecordSearch
 from nmt_diagnose.law.sampled_records import SampledRecords
 
@@ -53,7 +52,7 @@ def check_of(search: RecordSearch, best: RecordLaw) -> RecordCheck:
     """
     records, out = search.records, search.records.count - 1
     terms = [term for block in best.blocks for term in block.terms]
-    errors, strengths = search.problem.without(records.columns(terms), signed(best.blocks), [out])
+    errors, strengths = search.without(best.blocks, [out])
     number, part = records.part_of[out]
     record = records.records[number]
     corrected = search.problem.target[out] - search.problem.nuisance[out] @ errors

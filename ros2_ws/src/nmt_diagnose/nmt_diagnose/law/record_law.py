@@ -17,7 +17,6 @@ import numpy as np
 from nmt_core.numerics.arrays import FloatArray
 from nmt_core.text.number_words import percent
 from nmt_diagnose.law.force_loop import ForceLoop
-from nmt_diagnose.law.law_blocks import signed
 from nmt_diagnose.law.law_elements import with_laws
 from nmt_diagnose.law.moved_record import MovedRecords
 from nmt_diagnose.law.reading import LawReading, LawTerm, LocalLaw, closed_share, nearly_as_well
@@ -134,10 +133,7 @@ def reading_of(
         if within.acts and within.score <= enough:
             best, pulled = within, []
     top = [records.count - 2, records.count - 1]
-    above = closed_share(
-        search.problem.predicted(records.columns([]), signed([]), top),
-        search.problem.predicted(records.columns([t for b in best.blocks for t in b.terms]), signed(best.blocks), top),
-    )
+    above = closed_share(search.predicted([], top), search.predicted(best.blocks, top))
     why = ""
     remaining = search.remaining(best)
     if remaining > limits.told_score_ratio:
@@ -155,8 +151,7 @@ def reading_of(
 
 def _closed_by_file(rig: Rig, search: RecordSearch, best: RecordLaw, law: LocalLaw, out: list[int]) -> float:
     """Share of the gap at some parts that a rig file closes whose strengths are those of all others."""
-    columns = search.records.columns([term for block in best.blocks for term in block.terms])
-    _, values = search.problem.without(columns, signed(best.blocks), out)
+    _, values = search.without(best.blocks, out)
     refitted = replace(best, fit=replace(best.fit, coefficients=values))
     count = len(refitted.terms)
     others = replace(law, terms=_law_terms(refitted, np.zeros((count, count)))) if refitted.acts else law

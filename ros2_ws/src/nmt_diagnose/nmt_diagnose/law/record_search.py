@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -14,7 +14,7 @@ from nmt_core.numerics.arrays import FloatArray, IntArray
 from nmt_diagnose.choose.choice import Choice, Chosen, Judged
 from nmt_diagnose.choose.space import Space
 from nmt_diagnose.law.convex import ConvexFit, Solution
-from nmt_diagnose.law.law_blocks import Along, Block, BlockColumns, blocks_of_records, moved, signed
+from nmt_diagnose.law.law_blocks import Along, Block, BlockColumns, blocks_of_records, moved, passive, signed
 from nmt_diagnose.law.law_words import family
 from nmt_diagnose.law.sampled_records import DELAY, HALF_A_SAMPLE, SampledRecords
 from nmt_diagnose.law.terms import Term
@@ -124,7 +124,19 @@ class RecordSearch:
 
     def law(self, blocks: Sequence[Block]) -> RecordLaw:
         """Blocks with their fit."""
-        return RecordLaw(tuple(blocks), self.problem.solve(self.records.columns(_terms(blocks)), signed(blocks)))
+        every = passive(blocks)
+        fit = self.problem.solve(self.records.columns(_terms(blocks)) @ every, signed(blocks))
+        return RecordLaw(tuple(blocks), replace(fit, coefficients=every @ fit.coefficients))
+
+    def predicted(self, blocks: Sequence[Block], out: list[int]) -> float:
+        """rms of whitened rows of some parts that a fit of blocks to the others predicts."""
+        return self.problem.predicted(self.records.columns(_terms(blocks)) @ passive(blocks), signed(blocks), out)
+
+    def without(self, blocks: Sequence[Block], out: list[int]) -> tuple[FloatArray, FloatArray]:
+        """Errors (m,) and coefficients (k,) of a fit of blocks to all parts but some."""
+        every = passive(blocks)
+        errors, values = self.problem.without(self.records.columns(_terms(blocks)) @ every, signed(blocks), out)
+        return errors, every @ values
 
     def single(self) -> RecordLaw | None:
         """The best law of one block at a place, of a few of each family; None where none acts."""

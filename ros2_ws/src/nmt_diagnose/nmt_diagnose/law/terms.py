@@ -92,7 +92,7 @@ class Term:
     @property
     def signed(self) -> bool:
         """Polynomials of the displacement may soften; all else is passive by coefficients that are not negative."""
-        return self.form.signed or bool(self.by)
+        return self.form.signed
 
     @property
     def below(self) -> bool:

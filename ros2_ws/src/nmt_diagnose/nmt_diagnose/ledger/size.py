@@ -179,11 +179,16 @@ def largest_left(data: Data, found: FittedExplanation, wanted: Mapping[str, floa
     return max([stands_out, *(left.over for left in left_sizes(data, found, wanted, loop))])
 
 
-def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> Objection | None:
+def contradiction(
+    data: Data, found: FittedExplanation, wanted: Mapping[str, float], noise: float = math.inf
+) -> Objection | None:
     """The largest residual that matters, if the whole residual is visibly more than noise; or None.
 
     Such a residual forbids the verdict "no gap", however probable that came out. The learnt scale may have absorbed a
     misfit, so the noise is limited to the scatter of neighbouring rows. Arguments as of :func:`left_over`.
+
+    Args:
+        noise: largest scale of the noise of samples, as a law leaves it of rows that it was not read from.
     """
     errors = found.fit.errors
     rows, groups = data.observations.rows, data.groups.of
@@ -193,6 +198,8 @@ def contradiction(data: Data, found: FittedExplanation, wanted: Mapping[str, flo
     known = np.array(recorded)[rows.test] | (np.isinf(largest)[groups] & (rows.part != Part.SAMPLE))
     limited = np.unique(groups[data.used & known])
     largest[limited] = np.minimum(largest[limited], THRESHOLDS.verdict.credible_noise_scale**2)
+    samples = np.unique(groups[data.used & (rows.part == Part.SAMPLE)])
+    largest[samples] = np.minimum(largest[samples], max(noise, 1.0) ** 2)
     weights = np.maximum(errors.weights, 1.0 / largest[groups])
     left = (errors.residual * np.sqrt(weights))[data.used]
     if not left.size or float(np.sqrt(np.mean(left**2))) <= THRESHOLDS.verdict.left_over_scale:

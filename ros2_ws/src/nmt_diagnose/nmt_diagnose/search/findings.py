@@ -99,7 +99,9 @@ class Findings:
     @cached_property
     def contradiction(self) -> Objection | None:
         """Residual of the model alone that forbids the verdict "no gap"; or None."""
-        return contradiction(self.data, self.null, self.data.observations.matters)
+        law = self.law
+        noise = law.after if law is not None and law.of_record and law.is_stated else math.inf
+        return contradiction(self.data, self.null, self.data.observations.matters, noise)
 
     @cached_property
     def as_given_errors(self) -> ChainErrors:

@@ -96,6 +96,25 @@ def test_a_parameter_that_nobody_believes_is_named_with_its_distance() -> None:
     assert implausible_parameters(never, moved(null, -1.01 * edge)) == ((), 1.0)
 
 
+def test_two_effects_are_fitted_together_from_what_each_is_alone() -> None:
+    library = searched_model()[0]
+    first, second = (
+        next(c for c in library.candidates if c.effect.name == name and c.cause.location.points == (point,))
+        for name, point in (("quadratic_stiffness", 2), ("cubic_stiffness", 1))
+    )
+    size = len(library.parameters)
+    strengths = np.concatenate([np.zeros(size), [2.0, 2.0]])
+    search, null = searched(library.parametrisation((first, second)).rig(strengths))
+    wanted = [score for score in search.scores(null) if search.candidates[score.candidate].cause in
+              (first.cause, second.cause)]  # fmt: skip
+    singles = search.fitted(null, wanted)
+    assert {single.effects for single in singles} == {("quadratic_stiffness",), ("cubic_stiffness",)}
+    (both,) = search.side_by_side(singles)
+    assert set(both.effects) == {"quadratic_stiffness", "cubic_stiffness"}
+    assert search.leaves_noise_only(both)
+    assert both.fit.log_evidence > singles[0].fit.log_evidence + 10.0
+
+
 def test_an_effect_stands_in_for_an_error_of_the_chain_that_nobody_believes() -> None:
     search, null = searched_model()
     errors = null.fit.errors

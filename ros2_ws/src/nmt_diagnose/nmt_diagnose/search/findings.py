@@ -167,7 +167,7 @@ def find(
             settled = begun[0].fit.log_evidence - null.fit.log_evidence > 2.0 * far
         singles = begun if settled else _singles(search, null, scores(), begun, modes, rig, passed)
         state = _about_best(state, rig, observations, singles)
-        pairs = _pairs(state)
+        pairs = _pairs(state, modes)
         if pairs and pairs[0].fit.log_evidence > state.named[0].fit.log_evidence:
             state = _about_best(state, rig, observations, [*state.named, *pairs])
         else:
@@ -232,12 +232,17 @@ def _singles(
     return singles
 
 
-def _pairs(state: SearchState) -> list[FittedExplanation]:
+def _pairs(state: SearchState, modes: LowLevelModes) -> list[FittedExplanation]:
     """Explanations by two effects, and by one that a pair led to its optimum; the best first."""
     search, singles = state.search, state.named
     search.tell("looking for second effects")
     # What one of them has not reached yet would decide which of them are left out.
-    pairs = best_of([search.refit(pair) for pair in search.pairs(singles)])
+    found = search.pairs(singles)
+    if not search.leaves_noise_only(singles[0]):
+        # What is far behind alone may be one of two that leave noise only.
+        every = best_of([*singles, *(each.found for each in state.left_out)])
+        found += search.side_by_side(every, modes if modes.far_from(search.rig) else None)
+    pairs = best_of([search.refit(pair) for pair in found])
     reached = search.pruned(pairs)
     if reached and reached[0].fit.log_evidence > singles[0].fit.log_evidence:
         before = {explanation.explanation for explanation in pairs}

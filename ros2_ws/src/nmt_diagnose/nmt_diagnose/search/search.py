@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import brentq
@@ -41,6 +42,7 @@ from nmt_rig.rig import Rig
 # Times that a fit which has not converged is continued.
 _CONTINUATIONS = 3
 # Little, and more than rounding.
+_SIDE_BY_SIDE = 4  # effects of which pairs are fitted together
 _INITIAL_STRENGTH = 0.01
 _STARTS = 4  # of a candidate
 
@@ -517,6 +519,29 @@ class Search:
             )
             found += self._from_other_starts(single, self._added(single, wanted), scores)
         return best_of(found)
+
+    def side_by_side(
+        self, singles: Sequence[FittedExplanation], modes: LowLevelModes | None = None
+    ) -> list[FittedExplanation]:
+        """Two of the effects that explain most alone, together, from what each is alone; the best first.
+
+        Alone each bends the model's parameters, about which the other promises nothing.
+
+        Args:
+            singles: explanations, the best first.
+            modes: that are measured at low level, where the model's are far from them.
+        """
+        heads = [each for each in best_by_effect(singles) if len(each.candidates) == 1][:_SIDE_BY_SIDE]
+        found = []
+        for pair in combinations(heads, 2):
+            spreads = tuple(each.fit.parametrisation.spread(0) for each in pair)
+            strengths = [each.fit.theta[len(self.parameters) :] for each in pair]
+            parametrisation = self.parametrisation(tuple(each.candidates[0] for each in pair), spreads)
+            name, theta = StartName.GIVEN, np.concatenate([np.zeros(len(self.parameters)), *strengths])
+            if modes is not None:
+                name, theta = StartName.MODES, modes.start(parametrisation, theta)[0]
+            found.append(self.best(parametrisation, [Start(name, theta)], widen=True))
+        return best_of([explanation for explanation in found if explanation is not None])
 
     def pruned(self, found: Sequence[FittedExplanation]) -> list[FittedExplanation]:
         """What explanations by two effects are without a member that says nothing; only what beats its own whole.

@@ -238,7 +238,7 @@ def _pairs(state: SearchState, modes: LowLevelModes) -> list[FittedExplanation]:
     search.tell("looking for second effects")
     # What one of them has not reached yet would decide which of them are left out.
     found = search.pairs(singles)
-    if not search.leaves_noise_only(singles[0]):
+    if singles and not search.leaves_noise_only(singles[0]):
         # What is far behind alone may be one of two that leave noise only.
         every = best_of([*singles, *(each.found for each in state.left_out)])
         found += search.side_by_side(every, modes if modes.far_from(search.rig) else None)

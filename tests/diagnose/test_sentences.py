@@ -41,6 +41,14 @@ def test_what_the_model_has_is_corrected_and_what_it_lacks_is_added() -> None:
     assert "adding it removes" in said(Verdict.EFFECT, effect="local_stiffness + added_mass")
 
 
+def test_places_of_two_effects_are_no_alternatives() -> None:
+    head = Ranked("clamp_compliance + added_mass", "boundary + structure", "rotation + 6", 0.99, (), {}, None, 30.0)
+    where = (PlaceShare("boundary", "rotation", 0.6, 0.52), PlaceShare("structure", "6", 0.4, 0.48))
+    text = sentences(Verdict.EFFECT, where, (head,), None, GAP, (), ())[0]
+    assert text.startswith("The gap lies in the clamping, rotation, and the structure, point 6 (probability ")
+    assert "otherwise" not in text
+
+
 def test_parameters_that_predict_worse_close_no_share_of_a_gap() -> None:
     worse = Gap(129.47, 324.56, 1.0, 129.47, -1.519, -1.55, -0.17, {}, ("every second level",))
     text = " ".join(sentences(Verdict.CALIBRATION, (), (), None, worse, (), (spring(7.0),)))

@@ -270,7 +270,7 @@ def test_values_with_their_uncertainty(value: float, std: float, unit: str, text
         ("structure", "3-5", "the structure, between points 3 and 5"),
         ("response_sensor", "x4", "a response sensor, channel x4"),
         ("response_sensor", "x2<4", "a response sensor, channel x2 picking up point 4"),
-        ("joint + force_sensor", "6 + f2", "a joint or contact and the force sensor, point 6 and channel f2"),
+        ("joint + force_sensor", "6 + f2", "a joint or contact, point 6, and the force sensor, channel f2"),
         ("boundary", "rotation", "the clamping, rotation"),
         ("boundary", "clamp", "the clamping"),
         ("time", "cycles", "a change over time, over the number of periods"),

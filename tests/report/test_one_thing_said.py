@@ -86,7 +86,7 @@ def test_nothing_contradicts(verdict: Verdict, adequate: bool, effect: str, p: f
         assert colour == "good"
     if partial:
         assert headline.startswith(names)
-        assert headline.endswith("of the gap; 10.0 % is not in the library")
+        assert headline.endswith("of the gap; 10.0 % is unexplained")
         assert f"acts like {names}" in text
         assert "among the effects of the library" in text
         assert "0.4 % of the frequency (run: frequency) remain that it does not explain" in text

@@ -74,6 +74,9 @@ def sentences(
             ),
         )
     place = where_words(where)
+    if verdict is Verdict.EFFECT and " + " in ranking[0].place:
+        # Two effects act at both places: neither is an alternative to the other.
+        place = where_words([PlaceShare(ranking[0].place, ranking[0].detail, 1.0, ranking[0].probability)])
     if verdict is Verdict.UNKNOWN:
         part = gap.bridged >= THRESHOLDS.verdict.nearest_closed_share
         most = "all" if part else "a third"

@@ -56,8 +56,8 @@ def verdict_text(diagnosis: Diagnosis) -> tuple[str, str]:
             closed = diagnosis.gap.closed
             part = percent(closed, 1) if math.isfinite(closed) else "most"
             named = f"{class_text(head)} ({place_text(head.place, head.detail)})"
-            rest = f"{percent(1.0 - closed, 1)} is" if math.isfinite(closed) else "the rest is"
-            return f"{named} explains {part} of the gap; {rest} not in the library", "partly"
+            rest = percent(1.0 - closed, 1) if math.isfinite(closed) else "the rest"
+            return f"{named} explains {part} of the gap; {rest} is unexplained", "partly"
         alters = effect_named(head.effect).alters if "+" not in head.effect and not head.equivalents else ()
         named = f"the model lacks {class_text(head)}"
         if alters and "factor" in head.parameters:
@@ -127,11 +127,13 @@ def _alternatives_text(names: Sequence[str]) -> str:
 
 
 def place_text(place: str, detail: str = "") -> str:
-    """Where, in words: ``the structure, point 5``."""
-    places = [PLACES.get(part, part.replace("_", " ")) for part in place.split(" + ")]
-    details = [detail_text(part, place) for part in detail.split(" + ") if part]
-    details = list(dict.fromkeys(part for part in details if part))
-    return " and ".join(places) + (f", {' and '.join(details)}" if details else "")
+    """Where, in words: ``the structure, point 5``; of two effects both places, each with its detail."""
+    places, details = place.split(" + "), [part for part in detail.split(" + ") if part]
+    if len(places) == len(details) > 1:
+        return ", and ".join(dict.fromkeys(map(place_text, places, details)))
+    words = [PLACES.get(part, part.replace("_", " ")) for part in places]
+    said = list(dict.fromkeys(filter(None, (detail_text(part, place) for part in details))))
+    return " and ".join(words) + (f", {' and '.join(said)}" if said else "")
 
 
 def detail_text(detail: str, place: str = "") -> str:

@@ -15,7 +15,7 @@ from moved_threshold import moved_threshold
 from nmt_diagnose.diagnose import diagnose_observations
 from nmt_diagnose.diagnosis_settings import DiagnosisSettings
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
-from nmt_diagnose.ledger.plain_look import factors, share_left
+from nmt_diagnose.ledger.plain_look import Factor, by_channel, factors, share_left
 from nmt_diagnose.measurements.measurement import Observations, holds_amplitude, joined
 from nmt_diagnose.observations.observables import Part
 from nmt_diagnose.prediction.forward import Forward
@@ -203,3 +203,10 @@ def test_a_threshold_of_the_plain_look_decides(name: str) -> None:
             moved.append(decides(name))
     share.cache_clear()
     assert before not in moved or moved[0] != moved[1]
+
+
+def test_a_channel_that_is_turned_in_several_tests_is_one_finding() -> None:
+    found = [Factor(f"run {k}", "a2", -1.0 - 0.01 * k) for k in range(3)] + [Factor("run 0", "f1", 1000.0, True)]
+    turned, force = by_channel(found)
+    assert turned.sentence == "run 0 and 2 more: a2 has the other sign than the model predicts; turn it, or its sensor."
+    assert force == found[-1]

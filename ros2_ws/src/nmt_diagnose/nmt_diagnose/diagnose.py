@@ -35,6 +35,7 @@ from nmt_diagnose.ledger.gap import closed, over_splits, rms
 from nmt_diagnose.ledger.held_out import HeldOut, named_tests, splits
 from nmt_diagnose.ledger.judgement import Judgement, judged
 from nmt_diagnose.ledger.ledger import ledger_of
+from nmt_diagnose.ledger.plain_look import by_channel
 from nmt_diagnose.ledger.rules import GAP, NEEDED, WITHIN
 from nmt_diagnose.ledger.size import implausible_chain, large_lines, measured_size
 from nmt_diagnose.ledger.warnings import frequencies_alone, warned, without_observables
@@ -438,9 +439,10 @@ def _sentences(
         begins = 1 if judgement.law is not None and judgement.law_leads else 0
         text = (*text[:begins], contradicts, *text[begins:])
     if findings.factors:
-        named_factors = (found.sentence for found in findings.factors)
+        turned = by_channel(findings.factors)
+        named_factors = (found.sentence for found in turned)
         text = (*named_factors, UNITS_FIRST)
-        return text, (), tuple(found.place for found in findings.factors)
+        return text, (), tuple(found.place for found in turned)
     if findings.inadequate:
         text = (*findings.inadequate, "Effects are judged once the model has the modes of the recordings.", *text[1:2])
     return text, warnings, answer.where

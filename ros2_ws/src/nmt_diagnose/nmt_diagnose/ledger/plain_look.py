@@ -8,7 +8,8 @@ which share of the signal of each channel the model leaves unexplained.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +61,19 @@ class Factor:
     def place(self) -> PlaceShare:
         """The sensor."""
         return PlaceShare("force_sensor" if self.force else "response_sensor", self.channel, 1.0, 1.0)
+
+
+def by_channel(found: Sequence[Factor]) -> tuple[Factor, ...]:
+    """One finding for each channel that has the same in several tests."""
+    same: dict[tuple[str, bool, tuple[str, ...]], list[Factor]] = {}
+    for each in found:
+        same.setdefault((each.channel, each.factor < 0.0, each.units), []).append(each)
+    result = []
+    for group in same.values():
+        size = math.exp(float(np.mean([math.log(abs(each.factor)) for each in group])))
+        tests = group[0].test if len(group) == 1 else f"{group[0].test} and {len(group) - 1} more"
+        result.append(replace(group[0], test=tests, factor=math.copysign(size, group[0].factor)))
+    return tuple(result)
 
 
 def factors(

@@ -209,4 +209,5 @@ def test_a_channel_that_is_turned_in_several_tests_is_one_finding() -> None:
     found = [Factor(f"run {k}", "a2", -1.0 - 0.01 * k) for k in range(3)] + [Factor("run 0", "f1", 1000.0, True)]
     turned, force = by_channel(found)
     assert turned.sentence == "run 0 and 2 more: a2 has the other sign than the model predicts; turn it, or its sensor."
-    assert force == found[-1]
+    assert (force.test, force.channel) == ("run 0", "f1")
+    assert force.factor == pytest.approx(1000.0)

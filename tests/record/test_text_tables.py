@@ -186,6 +186,14 @@ def test_a_unit_that_nobody_knows_is_asked_about(tmp_path: Path) -> None:
     assert "the file says 'furlong'" in text
 
 
+@pytest.mark.parametrize("unit", ["degC", "°C", "K"])
+def test_a_temperature_is_told_as_what_a_strength_may_follow(tmp_path: Path, unit: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(rows(lambda k: f"{TIME[k]:.3f}", f"Time (s),T ({unit})")))
+    (text,) = sidecar_templates(path)
+    assert f"the file says '{unit}': a strength may follow it as quantity: voltage, unit: V" in text
+
+
 def test_a_name_that_may_be_two_quantities_follows_the_unit(tmp_path: Path) -> None:
     rate = np.gradient(WAVE) * RATE / 9806.65
     run = proposed(

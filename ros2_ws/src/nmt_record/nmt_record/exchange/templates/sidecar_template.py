@@ -315,6 +315,8 @@ def _numbers_rows(table: SourceTable, index: int) -> bool:
 
 def _unknown_unit(table: SourceTable, index: int) -> str:
     own = table.units[index]
+    if _TEMPERATURE.fullmatch(own.strip("[]() ")):
+        return f"; the file says '{own}': a strength may follow it as quantity: voltage, unit: V, with such a sensor"
     return f"; the file says '{own}'" if own else ""
 
 
@@ -390,6 +392,7 @@ def _is_drive(name: str) -> bool:
 
 
 _CURRENT = "; with force_factor: … (N per A) it stands where a force does"
+_TEMPERATURE = re.compile(r"°?\s*(deg\.?\s*)?[CKF]|℃|℉|celsius|kelvin", re.I)
 _COUNTER = re.compile(r"(x|n|no|nr|number|index|idx|sample|samples|sequence|seq|point|count|scan|row|#)\.?", re.I)
 
 

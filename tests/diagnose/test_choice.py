@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
@@ -67,9 +68,9 @@ def mixed(seed: int) -> tuple[Space, list[Columns], set[str]]:
 
 
 @pytest.mark.parametrize(
-    "seeds", [range(3), pytest.param(range(3, 60), marks=pytest.mark.campaign)], ids=["few", "many"]
+    "seeds", [(0, 10, 21), pytest.param(range(60), marks=pytest.mark.campaign)], ids=["few", "many"]
 )
-def test_the_best_of_all_sets_is_found(seeds: range) -> None:
+def test_the_best_of_all_sets_is_found(seeds: Sequence[int]) -> None:
     right = 0
     for seed in seeds:
         space, columns, there = mixed(seed)

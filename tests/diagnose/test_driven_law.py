@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -195,6 +196,12 @@ def test_a_place_whose_motion_no_channel_tells_is_not_named(tmp_path: Path) -> N
     assert not isinstance(every, str)
     assert {one.place for one in every} == {(1, 0), (2, 0), (3, 0), (2, 1), (3, 2)}
     assert (3, 2) not in {one.place for one in moving(every)}
+    (second,) = (one for one in every if one.place == (2, 0))
+    size = float(np.std(second.records[0].x))
+    for share, known in ((0.15, True), (0.25, False)):
+        uncertain = replace(second, records=tuple(replace(one, x_std=share * size) for one in second.records))
+        others = [uncertain if one is second else one for one in every]
+        assert (uncertain in moving(others)) is known
 
 
 def test_the_diagnosis_states_the_law_of_a_driven_record(tmp_path: Path) -> None:

@@ -42,9 +42,9 @@ def test_no_fit_sees_a_test_that_is_held_out() -> None:
     values = np.where(levels.rows.test == 0, levels.values, other.values)
     observations = type(levels)(levels.tests, levels.rows, values, levels.std, levels.floor)
     withheld = tuple(effect.name for effect in library() if effect.name not in ("air_drag", "cubic_stiffness"))
-    settings = DiagnosisSettings(withheld=withheld, look_ahead=False, hold_out=("random",))
+    settings = DiagnosisSettings(withheld=withheld, look_ahead=False, hold_out=("random",), matters={})
     outcome = diagnose_observations(model, observations, settings)
-    alone = diagnose_observations(model, mixed, DiagnosisSettings(withheld=withheld, look_ahead=False))
+    alone = diagnose_observations(model, mixed, DiagnosisSettings(withheld=withheld, look_ahead=False, matters={}))
     found, wanted = outcome.diagnosis.ranking[0], alone.diagnosis.ranking[0]
     assert (found.effect, found.detail) == (wanted.effect, wanted.detail) == ("air_drag", "2")
     assert found.parameters["c2"].value == pytest.approx(wanted.parameters["c2"].value, rel=1e-2)

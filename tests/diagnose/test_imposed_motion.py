@@ -19,6 +19,7 @@ from nmt_diagnose.effects.library import library
 from nmt_diagnose.ledger.diagnosis import Diagnosis, Verdict
 from nmt_diagnose.measurements.imposed_motion import ImposedMotion
 from nmt_diagnose.measurements.measurement import Observations
+from nmt_diagnose.observations.model_view import ModelView
 from nmt_diagnose.observations.read_observations import read_observations
 from nmt_diagnose.prediction.forward import Forward
 from nmt_record.exchange.imports.imported_run import read_import, write_import
@@ -200,6 +201,13 @@ def test_a_drive_without_restoring_force_is_moved_as_measured(tmp_path: Path, sp
     first = found.ranking[0]
     assert first.effect in ("second_friction_contact", "microslip"), first
     assert first.parameters["slip_force"].value == pytest.approx(0.4, rel=0.05)
+
+
+def test_a_mode_swings_that_has_three_periods_in_the_record(tmp_path: Path) -> None:
+    view = ModelView.of(rig_of(tmp_path, DRIVE.format(spring=0.5, damper=0.0)), (1,))
+    (hertz,) = view.swinging_hz(1e6, 1e6)
+    assert view.swinging_hz(2.9 / hertz, 1e6) == ()
+    assert view.swinging_hz(3.1 / hertz, 1e6) == (hertz,)
 
 
 def test_what_the_model_makes_of_a_motion_has_no_gap(tmp_path: Path) -> None:

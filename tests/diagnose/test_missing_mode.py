@@ -116,6 +116,8 @@ def test_a_start_has_the_pole_of_the_responses(truth: MoreModes):
     assert set(np.round(shares, 9)) <= {0.01, 0.03, 0.1, 0.3, 1.0}
     assert len(begun) >= 2
     assert min(start["zeta"] for start in begun) >= 1e-4
+    undamped = effect.sites(rig, lacking(rig, 1j * abs(pole)))
+    assert min(start["zeta"] for site in undamped for start in site.begun) == 1e-4
     candidate = Candidate(effect, sites[2])
     parametrisation = Parametrisation(rig, (), (candidate,))
     for theta, start in zip(starts_of(candidate), begun, strict=True):

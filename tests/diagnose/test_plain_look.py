@@ -150,7 +150,6 @@ def noisy(observed: Observations, sigmas: float) -> Observations:
     return replace(observed, values=observed.values + sigmas * observed.std * noise)
 
 
-@cache
 def share(sigmas: float) -> float:
     """Share of its signal that a channel leaves whose recording has more noise than it shows of itself."""
     observed = noisy(healthy("driven record"), sigmas)
@@ -198,10 +197,8 @@ def test_a_threshold_of_the_plain_look_decides(name: str) -> None:
         assert decides(name) == before  # the values of this test are those of the program
     moved = []
     for other in (more, less):
-        share.cache_clear()
         with moved_threshold(f"verdict.{name}", other):
             moved.append(decides(name))
-    share.cache_clear()
     assert before not in moved or moved[0] != moved[1]
 
 

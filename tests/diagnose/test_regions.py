@@ -18,7 +18,6 @@ from nmt_diagnose.effects.parametrisation import Parametrisation
 from nmt_diagnose.effects.rig_edit import with_value
 from nmt_diagnose.fit.model_alone import own_and_modes
 from nmt_diagnose.prediction.operating_range import operating_range
-from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.packed_matrix import packed, unpacked
 from nmt_rig.rig import Rig
 from nmt_rig.rig_model import build_structure
@@ -70,8 +69,8 @@ def test_a_region_is_a_candidate_where_it_has_a_matrix():
     found = region_candidates(rig_of())
     assert set(found) == {"local_stiffness@link", "local_mass@tip", "clamp_compliance@foot lateral"}
     site = found["local_stiffness@link"].site
-    assert site.scales == {"change": THRESHOLDS.candidates.region_change}
-    assert site.limits == {"change": pytest.approx(math.log(THRESHOLDS.candidates.largest_region_factor))}
+    assert site.scales == {"change": 0.05}
+    assert site.limits == {"change": pytest.approx(math.log(20.0))}
     assert not region_candidates(chain())
 
 

@@ -60,11 +60,12 @@ def test_a_pendulum_with_friction_is_one_thing_in_headline_and_table(tmp_path: P
 
 @pytest.mark.campaign
 @pytest.mark.skipif(not CLIPPED.is_file(), reason=f"the generator is not there ({CLIPPED})")
-def test_a_drive_that_saturates_where_no_channel_shows_it_has_no_place(tmp_path: Path) -> None:
-    """The effort is a command beyond what the drive gives: no cause of the library closes a third of the gap."""
+def test_a_drive_that_saturates_where_no_channel_shows_it_has_no_sure_place(tmp_path: Path) -> None:
+    """The effort is a command beyond what the drive gives: a gain of either channel comes nearest."""
     subprocess.run([sys.executable, CLIPPED, tmp_path], check=True, capture_output=True)
     found = diagnosed(tmp_path, "arm.yaml", ("s",), tmp_path)
     assert found["verdict"] == "unknown"
-    assert found["where"] == []
-    assert "Where the gap lies could not be told." in found["sentences"]
+    places = {item["place"]: item["p"] for item in found["where"]}
+    assert max(places.values()) < 0.6
+    assert min(places["response_sensor"], places["force_sensor"]) > 0.3
     assert contradictions(found) == ()

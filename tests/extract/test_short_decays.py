@@ -51,8 +51,8 @@ def test_a_few_swings_have_their_frequency_and_damping(periods: float, rest: flo
 @pytest.mark.parametrize("per_period", [10.3, 14.7, 21.0])
 def test_ten_samples_a_period_are_enough(per_period: float) -> None:
     decay = read(exponential(7.0, per_period, 0.02, 0.3), per_period)
-    np.testing.assert_allclose(decay.frequency_hz, HZ, rtol=5e-3)
-    np.testing.assert_allclose(decay.damping_ratio, 0.02, rtol=0.15)
+    np.testing.assert_allclose(decay.frequency_hz, HZ, rtol=2.5e-3)
+    np.testing.assert_allclose(decay.damping_ratio, 0.02, rtol=0.025)
 
 
 def test_a_straight_envelope_is_told_from_an_exponential_one() -> None:

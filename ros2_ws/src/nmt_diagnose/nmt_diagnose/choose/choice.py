@@ -146,7 +146,7 @@ class Choice:
         best = sets.judged(())
         kept, waited = [best], 0
         for size in range(1, most + 1):
-            if best.numbers and not sets.may_grow(best):
+            if best.numbers and not sets.may_grow(best, kept):
                 break
             grown = [item for start in kept for item in sets.grown(start)]
             if sets.recount(_best([best, *grown])):
@@ -311,11 +311,15 @@ class _Sets:
         causes = tuple(self.columns[number] for number in order)
         return Chosen(causes, best, tuple(every), instead, tuple(self.columns), self._independent)
 
-    def may_grow(self, best: Judged) -> bool:
-        """Whether one cause more may pay for a good part of itself, or leave more than a bound."""
+    def may_grow(self, best: Judged, kept: Sequence[Judged]) -> bool:
+        """Whether one cause more may pay for a good part of itself in one of some sets, or leave more than a bound."""
         if self._space.bound and best.variance <= self._least:
             return False
-        found, counts = self.gains(best, self._all_asked)
+        numbers = {item.numbers: item for item in (best, *kept)}
+        return any(self._pays(item) for item in numbers.values())
+
+    def _pays(self, start: Judged) -> bool:
+        found, counts = self.gains(start, self._all_asked)
         return bool(np.max(found - counts * np.log(self._independent)) > _HOPE * self._price)
 
     def lowest(self, sets: Iterable[Judged]) -> list[Judged]:

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import combinations, pairwise
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +53,7 @@ from nmt_diagnose.prediction.resting_motion import (
     noise_motion,
     ratio_if_far_off,
 )
-from nmt_diagnose.prediction.rig_parts import RigParts
+from nmt_diagnose.prediction.rig_parts import RigParts, channel_sections
 from nmt_diagnose.prediction.rig_tables import DELAY, GAIN
 from nmt_diagnose.thresholds import THRESHOLDS
 from nmt_rig.model.fourier_basis import FourierBasis
@@ -161,6 +161,18 @@ class SamplePredictor(Predictor):
         return found
 
 
+class _Stepping(NamedTuple):
+    """Parts of a rig, sampling rate by its clock (Hz), steps per sample, and force over the input.
+
+    A recorded force is what its sensor makes of the force, a recorded voltage what the exciter turns into one.
+    """
+
+    parts: RigParts
+    rate: float
+    substeps: int
+    gain: float
+
+
 class RecordPredictor(SamplePredictor):
     """Predicts the samples of one record.
 
@@ -192,8 +204,8 @@ class RecordPredictor(SamplePredictor):
 
     def responses(self, rig: Rig, cache: PartsCache) -> FloatArray:
         """Recorded responses (channels, samples)."""
-        parts, rate, substeps = self._stepping(rig, cache)
-        return self._recorded(self._raw(parts, rate, substeps)[0], parts, rate)
+        stepping = self._stepping(rig, cache)
+        return self._recorded(self._raw(stepping)[0], stepping)
 
     def errors(self, rig: Rig, cache: PartsCache, chain: MeasuringChain | None) -> dict[str, FloatArray]:
         """What a standard deviation of each error of the record adds to its rows, (rows,) each.
@@ -206,12 +218,12 @@ class RecordPredictor(SamplePredictor):
             cache: of the prediction.
             chain: of the record; None = that of the bench's simulator, whose sensors have no zeros and no gains.
         """
-        parts, rate, substeps = self._stepping(rig, cache)
-        raw, initial = self._raw(parts, rate, substeps, errors=True)
-        base = self._recorded(raw, parts, rate)
+        stepping = self._stepping(rig, cache)
+        raw, initial = self._raw(stepping, errors=True)
+        base = self._recorded(raw, stepping)
 
         def change(moved: FloatArray) -> FloatArray:
-            return self._of_rows((self._recorded(moved, parts, rate) - base) / _ERROR_STEP)
+            return self._of_rows((self._recorded(moved, stepping) - base) / _ERROR_STEP)
 
         found: dict[str, FloatArray] = {}
         if self.test.noise.any():
@@ -221,51 +233,53 @@ class RecordPredictor(SamplePredictor):
         if chain is not None and self.test.zeros.size:
             source = float(self.test.zeros[0])
             if source > 0.0:
-                moved = self._stepped(parts, rate, substeps, offset=_ERROR_STEP * source)[0]
+                moved = self._stepped(stepping, offset=_ERROR_STEP * source)[0]
                 found[f"zero of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
             # What the sensor shows too large is smaller; the gain of a channel is one error of all tests.
             quieter = -_ERROR_STEP * chain.of(self.test.input_channel.name).gain
             if quieter < 0.0:
-                moved = self._stepped(parts, rate, substeps, louder=quieter)[0]
+                moved = self._stepped(stepping, louder=quieter)[0]
                 found[f"gain {self.test.input_channel.name}"] = change(moved)
-            found |= self._sensor_errors(raw, parts, rate / self.test.head_stride, chain)
+            found |= self._sensor_errors(raw, stepping.parts, stepping.rate / self.test.head_stride, chain)
         for number, error in enumerate(initial.errors):
-            moved = self._stepped(parts, rate, substeps, initial.state + _ERROR_STEP * error)[0]
+            moved = self._stepped(stepping, initial.state + _ERROR_STEP * error)[0]
             found[f"start {number} of {self.test.name}"] = change(moved)
         return found
 
-    def _stepping(self, rig: Rig, cache: PartsCache) -> tuple[RigParts, float, int]:
-        """Parts of the rig, sampling rate by its clock (Hz) and steps per sample."""
+    def _stepping(self, rig: Rig, cache: PartsCache) -> _Stepping:
         test = self.test
         parts = cache.parts(rig, self.setup, test.start_s + 0.5 * test.input.size / test.sample_rate)
         rate = test.sample_rate * parts.clock
-        return parts, rate, substeps_of(parts.linear, rate)
+        (sensor,) = channel_sections(rig, [test.input_channel])
+        gain = float(parts.input_per_volt[0])
+        if self.ideal_force:
+            gain = 1.0 if sensor is None else 1.0 / sensor.gain
+        return _Stepping(parts, rate, substeps_of(parts.linear, rate), gain)
 
-    def _recorded(self, raw: FloatArray, parts: RigParts, rate: float) -> FloatArray:
-        """What the sensors make of the channels, by the rate of the input, Hz."""
-        return recorded(raw, parts, self._places, rate / self.test.head_stride)
+    def _recorded(self, raw: FloatArray, stepping: _Stepping) -> FloatArray:
+        """What the sensors make of the channels."""
+        return recorded(raw, stepping.parts, self._places, stepping.rate / self.test.head_stride)
 
-    def _driven_model(self, parts: RigParts, rate: float, substeps: int) -> tuple[float, float, SteppedModel]:
-        """Saturation and gain of the drive, and the recursion of the poles over a step."""
+    def _driven_model(self, stepping: _Stepping) -> tuple[float, SteppedModel]:
+        """Saturation of the drive, and the recursion of the poles over a step."""
+        parts = stepping.parts
         saturation = math.inf if self.ideal_force else float(parts.saturation[0])
-        gain = 1.0 if self.ideal_force else float(parts.input_per_volt[0])
         rows = np.concatenate((np.arange(parts.coordinates), parts.coordinates + self._places))
-        return saturation, gain, stepped_model(parts.linear, parts.coordinates, rows, 1.0 / (rate * substeps))
+        step = 1.0 / (stepping.rate * stepping.substeps)
+        return saturation, stepped_model(parts.linear, parts.coordinates, rows, step)
 
-    def _raw(
-        self, parts: RigParts, rate: float, substeps: int, errors: bool = False
-    ) -> tuple[FloatArray, InitialState]:
+    def _raw(self, stepping: _Stepping, errors: bool = False) -> tuple[FloatArray, InitialState]:
         """Motion and its begin as :meth:`_stepped`, remembered; rigs that differ in sensors only share it."""
-        saturation, gain, model = self._driven_model(parts, rate, substeps)
+        parts, (saturation, model) = stepping.parts, self._driven_model(stepping)
         errors = errors or self.test.begins_in_motion
-        digest = hashlib.sha256(repr((substeps, saturation, gain, errors)).encode())
+        digest = hashlib.sha256(repr((stepping.substeps, saturation, stepping.gain, errors)).encode())
         # The state that a record begins in is read through the sensors.
         gains = parts.channels[self._places, GAIN] if self.test.head.size else np.zeros(0)
         for array in (*model, parts.force_factor, *parts.tables.elements, *parts.timed.tables(), gains):
             digest.update(repr(array.shape).encode() + np.ascontiguousarray(array).tobytes())
         key = digest.digest()
         if key not in self._known:
-            self._known[key] = self._stepped(parts, rate, substeps, errors=errors)
+            self._known[key] = self._stepped(stepping, errors=errors)
             if len(self._known) > REMEMBERED:
                 self._known.popitem(last=False)
         self._known.move_to_end(key)
@@ -273,9 +287,7 @@ class RecordPredictor(SamplePredictor):
 
     def _stepped(
         self,
-        parts: RigParts,
-        rate: float,
-        substeps: int,
+        stepping: _Stepping,
         state: ComplexArray | None = None,
         offset: float | FloatArray = 0.0,
         louder: float = 0.0,
@@ -284,19 +296,17 @@ class RecordPredictor(SamplePredictor):
         """What the channels would record without their sensors (channels, samples), and the state they begin in.
 
         Args:
-            parts: of the rig.
-            rate: of the input, Hz.
-            substeps: steps per sample of it.
+            stepping: the rig and its steps.
             state: of the poles, to begin with, (k,); None = estimated from the first samples.
             offset: what is added to the input, in its unit; one value or (n substeps,).
             louder: share of the input that is added to it.
             errors: whether those of the begin are wanted where the model starts at rest.
         """
-        saturation, gain, model = self._driven_model(parts, rate, substeps)
+        parts, substeps, (saturation, model) = stepping.parts, stepping.substeps, self._driven_model(stepping)
         drive = (1.0 + louder) * self._interpolated(substeps) + offset
         if math.isfinite(saturation):
             drive = saturation * np.tanh(drive / saturation)
-        drive = gain * drive
+        drive = stepping.gain * drive
         timed = parts.timed.tables(self.test.signals, substeps)
 
         def simulated(samples: int, start: ComplexArray) -> FloatArray:

@@ -140,7 +140,7 @@ class ReadingThresholds:
     imposed_fewest_periods: float = threshold(
         3.0, "periods",
         "Modes with fewer cycles in a record are ignored.",
-        "tests/diagnose/test_imposed_motion.py::test_a_drive_without_restoring_force_is_moved_as_measured",
+        "tests/diagnose/test_imposed_motion.py::test_a_mode_swings_that_has_three_periods_in_the_record",
     )  # fmt: skip
     imposed_resonant_share: float = threshold(
         0.01, "1",

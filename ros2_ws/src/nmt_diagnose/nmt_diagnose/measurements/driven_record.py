@@ -227,8 +227,8 @@ class RecordPredictor(SamplePredictor):
 
         found: dict[str, FloatArray] = {}
         if self.test.noise.any():
-            added = -_ERROR_STEP * self._between(self.test.noise, substeps)
-            moved = self._stepped(parts, rate, substeps, offset=added)[0]
+            added = -_ERROR_STEP * self._between(self.test.noise, stepping.substeps)
+            moved = self._stepped(stepping, offset=added)[0]
             found[f"noise of {self.test.input_channel.name} in {self.test.name}"] = change(moved)
         if chain is not None and self.test.zeros.size:
             source = float(self.test.zeros[0])

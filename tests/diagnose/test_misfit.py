@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from diagnose.one_of_each_kind import KINDS, rig_of_kinds, with_chain
 from diagnose.predicted_observations import chain, observations_of_model
 from scipy.stats import multivariate_normal
 
@@ -51,6 +52,36 @@ def test_whitened_residuals_have_the_likelihood_of_the_covariance() -> None:
     density = [multivariate_normal.logpdf(own, cov=covariance, allow_singular=True) for own in residuals]
     assert squares[1] - squares[0] == pytest.approx(-2.0 * (density[1] - density[0]), rel=1e-6)
     assert np.allclose(whiten(residuals.T)[:, 0], whiten(residuals[0]))
+
+
+def test_rows_of_a_record_have_the_likelihood_of_what_they_share() -> None:
+    rng, observations, count = np.random.default_rng(2), observed(), len(observed().rows)
+    index = np.sort(rng.permutation(count)[:40])
+    shared = rng.standard_normal((40, 5)) * rng.uniform(0.05, 0.25, (40, 1))
+    used = np.ones(count, dtype=bool)
+    used[index[::7]] = False
+    whiten = Whitening(observations, np.zeros(count), used, [(index, shared)])
+    kept = used[index]
+    covariance = shared[kept] @ shared[kept].T
+    np.fill_diagonal(covariance, 1.0)
+    residuals = np.where(used, rng.standard_normal((2, count)), 0.0)
+    squares = [float(np.sum(whiten(own)[index] ** 2)) for own in residuals]
+    density = [multivariate_normal.logpdf(own[index[kept]], cov=covariance) for own in residuals]
+    assert squares[1] - squares[0] == pytest.approx(-2.0 * (density[1] - density[0]), rel=1e-6)
+    assert np.allclose(whiten.back(whiten(residuals[0])), residuals[0])
+    assert np.allclose(whiten(residuals.T)[:, 0], whiten(residuals[0]))
+
+
+def test_a_response_of_a_record_may_be_off_by_a_share_of_what_matters() -> None:
+    """Of a sine the share that lines of a frequency response may be off, at every moment."""
+    observed_record = KINDS["driven record"](rig_of_kinds())
+    (test,) = observed_record.tests
+    sine = 0.3 * np.sin(2.0 * np.pi * 40.0 * np.arange(test.input.size) / test.sample_rate)  # type: ignore[attr-defined]
+    test = replace(test, responses=np.tile(sine, (len(test.channels), 1)))  # type: ignore[type-var]
+    found = misfit_of(with_chain(replace(observed_record, tests=(test,))))
+    expected = THRESHOLDS.misfit.shared_share * MATTERS["response"] * 0.3
+    assert np.median(found.common) == pytest.approx(expected, rel=0.03)
+    assert not misfit_of(replace(observed_record, tests=(test,), matters=MATTERS)).common.any()
 
 
 def test_unused_rows_tell_nothing_of_the_others() -> None:

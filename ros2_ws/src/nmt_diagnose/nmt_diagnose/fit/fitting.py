@@ -59,13 +59,14 @@ class Data:
         observations: the real side.
         forward: predicts its rows.
         sigma: standard deviation of each row before scales, its noise and misfit, (m,).
-        share: variance of the misfit that neighbouring rows share over the whole, (m,).
+        share: variance of the misfit that neighbouring rows share over the whole, (m,); 0 of records.
         groups: rows that share a scale.
         chain: change of the model's values by a standard deviation of each error of the measuring chain, (m, r).
         added: what such errors add to what was measured, in proportion to that, (m, r).
         chain_names: of these errors.
         used: rows that are compared, (m,).
         lines: rows of the magnitude and of the phase of each line of random tests, (2, k).
+        records: rows of channels of records with what they share, over their standard deviations before scales.
         key: of these data and no others.
         known: of fits to these data, what takes long to compute.
     """
@@ -80,6 +81,7 @@ class Data:
     chain_names: tuple[str, ...]
     used: BoolArray
     lines: IntArray
+    records: tuple[tuple[IntArray, FloatArray], ...] = ()
     key: object = field(init=False, repr=False, compare=False, default_factory=object)
     known: dict[object, float] = field(init=False, repr=False, compare=False, default_factory=dict)
 
@@ -169,7 +171,7 @@ class Data:
         turning = np.zeros(self.used.size, dtype=bool)
         turning[self.lines.ravel()] = True
         return (
-            Whitening(self.observations, self.share, self.used & ~turning),
+            Whitening(self.observations, self.share, self.used & ~turning, self.records),
             Whitening(self.observations, self.share, self.used & turning),
         )
 
@@ -231,10 +233,17 @@ def data_about(
     misfit = misfit_of(observations)
     sigma = np.sqrt(sigma_of(observations) ** 2 + misfit.common**2 + misfit.independent**2)
     groups = groups_of(observations, (misfit.common**2 + misfit.independent**2) / sigma**2)
-    return Data(
-        observations, Forward(observations.tests, observations.rows), sigma, (misfit.common / sigma) ** 2, groups,
-        chain.columns - added, added, chain.names, used, lines,
+    share = np.where(observations.rows.part == Part.SAMPLE, 0.0, misfit.common / sigma) ** 2
+    data = Data(
+        observations, Forward(observations.tests, observations.rows), sigma, share, groups, chain.columns - added,
+        added, chain.names, used, lines,
     )  # fmt: skip
+    if not misfit.records:
+        return data
+    # Scales multiply what rows share, too; that of a gap would make half of a response an ordinary misfit.
+    scales = best_chain_errors(data, near.values).weights ** -0.5
+    scaled = sigma * np.maximum(scales / THRESHOLDS.verdict.credible_noise_scale, 1.0)
+    return replace(data, records=tuple((index, shared / scaled[index, None]) for index, shared in misfit.records))
 
 
 @dataclass(frozen=True)

@@ -66,7 +66,8 @@ def test_a_cantilever_that_softens_gets_its_damping_beside(data_folder: Path, tm
     keys: dict[str, object] = {"unit": "(m/s^2)/(m/s^2)", "level_unit": "g"}
     found = diagnosed(data_folder / "laboratory", tmp_path, "table", (0.02, 0.1, 0.3), ON_TABLE, keys)
     assert found.verdict is Verdict.EFFECT
-    first = found.ranking[0]
-    names = {first.effect, *first.equivalents}
-    assert "cubic_stiffness + amplitude_damping" in names or "amplitude_damping + cubic_stiffness" in names
-    assert found.gap.closed >= 0.85
+    # Two laws at one point may be one outside the library: what closes most alone comes first, then both.
+    assert [item.effect for item in found.ranking[:2]] == ["cubic_stiffness", "cubic_stiffness + amplitude_damping"]
+    assert not found.adequate
+    assert any("with amplitude damping added it closes 99" in sentence for sentence in found.sentences)
+    assert found.ranking[1].closed.low > found.ranking[0].closed.high >= 0.85

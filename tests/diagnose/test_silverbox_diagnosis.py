@@ -51,10 +51,10 @@ def test_the_silverbox_lacks_a_cubic_spring(
     assert found["gap"]["held_out"] == ["the test arrow"]
     assert found["gap"]["closed"] >= 0.97
     (arrow,) = (item for name, item in found["gap"]["per_observable"].items() if name.startswith("arrow"))
-    # The figures of the literature: 14.1 mV are left by the linear model, 0.42 mV by one with a cubic spring. The model
-    # as it was given is that one; what stands before is re-fitted beside it, within tolerances of chain and model.
+    # Literature: the best linear model of the whole arrow leaves 14.1 mV, one with a cubic spring 0.42 mV. The model as
+    # given leaves 12.4 mV of the part that is read here, which ends before the largest motion.
     volts_of_one = arrow["before_unit"] / arrow["before"]
-    assert 1e3 * volts_of_one * found["gap"]["as_given"] == pytest.approx(14.1, abs=1.5)
+    assert 1e3 * volts_of_one * found["gap"]["as_given"] == pytest.approx(12.4, abs=0.5)
     assert 1e3 * arrow["after_unit"] < 0.6
     others = [item["closed"]["value"] for item in found["ranking"][1:] if "cubic" not in item["effect"]]
     assert all(value is None or not math.isfinite(value) or value < 0.9 for value in others)

@@ -11,7 +11,7 @@ from nmt_core.errors import BenchError
 from nmt_core.vocabulary import Quantity
 from nmt_extract.decays.free_decay import FreeDecay, channel_decay
 from nmt_signals.decays.decay_signal import Ridge, slow_amplitude
-from nmt_signals.decays.half_cycles import half_cycle_nodes, strongest_frequency
+from nmt_signals.decays.half_cycles import half_cycle_nodes, strongest_frequency, undriven_from
 
 HZ = 0.7
 
@@ -78,3 +78,14 @@ def test_the_strongest_line_is_found_about_any_rest() -> None:
     for periods in (2.2, 3.7, 9.0):
         found = strongest_frequency(exponential(periods, 30.0, 0.02, 50.0), 30.0 * HZ)
         assert found == pytest.approx(HZ, rel=0.12)
+
+
+def test_a_decay_begins_where_its_drive_has_come_to_rest() -> None:
+    """A bench ends a drive by a ramp; a voltage of noise, and one that drives on, end nothing."""
+    ramp = np.r_[np.ones(30), np.linspace(1.0, 0.0, 11), np.zeros(159)]
+    noise = 1e-4 * np.random.default_rng(1).standard_normal(200)
+    assert undriven_from([]) == 0
+    assert undriven_from([np.zeros(200)]) == 0
+    assert undriven_from([noise]) == 0
+    assert undriven_from([np.ones(200)]) == 0
+    assert undriven_from([ramp, 0.5 * ramp + noise]) == 40

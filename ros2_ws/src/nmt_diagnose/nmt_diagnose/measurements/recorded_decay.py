@@ -9,7 +9,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -64,7 +64,7 @@ from nmt_signals.decays.decay_hum import Hum, without_hum
 from nmt_signals.decays.decay_nodes import Node, ratio_at
 from nmt_signals.decays.decay_reading import DEMODULATION_WIDTHS, DecayReading, read_decay
 from nmt_signals.decays.decay_signal import Ridge, demodulated
-from nmt_signals.decays.half_cycles import half_cycle_nodes
+from nmt_signals.decays.half_cycles import half_cycle_nodes, undriven_from
 from nmt_signals.thresholds import DECAYS
 
 
@@ -489,6 +489,7 @@ def _short_decay(
 ) -> Observations:
     """Observables of a decay of too few periods for spectra: by its turning points, where there are enough of them."""
     model_channel, lowest = channels[channel.name], float(min(view.frequencies_hz))
+    stretch = _undriven(stretch)
     try:
         good = half_cycle_nodes(stretch.row(channel.name), stretch.sample_rate, lowest)
     except BenchError as error:
@@ -505,6 +506,13 @@ def _short_decay(
         resting_points=view.rig.exciter_points[1:],
     )
     return table.observations(test, [note])
+
+
+def _undriven(stretch: SampleStretch) -> SampleStretch:
+    """The stretch from where its drive has come to rest."""
+    begin = undriven_from(stretch.row(c.name) for c in stretch.channels if c.quantity is Quantity.VOLTAGE)
+    cycles = None if stretch.cycles is None else stretch.cycles[begin:]
+    return replace(stretch, first_sample=stretch.first_sample + begin, data=stretch.data[:, begin:], cycles=cycles)
 
 
 def close_mode(view: ModelView, frequency_hz: float) -> str:

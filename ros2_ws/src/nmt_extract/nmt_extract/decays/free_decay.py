@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,6 +92,7 @@ def free_decays(bag: Any) -> list[FreeDecay]:
         BenchError: the bag is damaged.
     """
     from nmt_record.windows.segments import read_signals, segments
+    from nmt_signals.decays.half_cycles import undriven_from
 
     found = []
     clock = (bag.run_start or {}).get("imported") or {}
@@ -100,6 +101,8 @@ def free_decays(bag: Any) -> list[FreeDecay]:
         if segment.kind is not TestKind.RING_DOWN:
             continue
         signals = read_signals(bag, segment.first_sample, segment.samples)
+        drives = [values for name, values in signals.channels.items() if signals.quantities[name] is Quantity.VOLTAGE]
+        begin = undriven_from(drives)
         for name, values in signals.channels.items():
             moves = any(quantity in MOTIONS for quantity in signals.quantities.values())
             quantity = signals.quantities[name]
@@ -107,12 +110,17 @@ def free_decays(bag: Any) -> list[FreeDecay]:
                 quantity = Quantity.DISPLACEMENT  # of a support that the structure shakes: its phase does not matter
             if quantity in MOTIONS:
                 place = number, name, signals.units[name]
-                found.append(channel_decay(values, signals.sample_rate, quantity, place, clock_std))
+                found.append(channel_decay(values, signals.sample_rate, quantity, place, clock_std, begin))
     return found
 
 
 def channel_decay(
-    values: FloatArray, rate: float, quantity: Quantity, place: tuple[int, str, str], clock_std: float
+    values: FloatArray,
+    rate: float,
+    quantity: Quantity,
+    place: tuple[int, str, str],
+    clock_std: float,
+    begin: int = 0,
 ) -> FreeDecay:
     """The decay of one channel.
 
@@ -122,6 +130,7 @@ def channel_decay(
         quantity: displacement, velocity or acceleration.
         place: number of the segment, name of the channel, its unit.
         clock_std: relative standard uncertainty of the rate.
+        begin: sample at which the drive has come to rest.
 
     Returns:
         The decay; without values, and with the reason, where there is none to be read.
@@ -141,7 +150,10 @@ def channel_decay(
         frequency_hz = strongest_frequency(values, rate)
         readings: tuple[Callable[[], list[Node]], ...] = (
             lambda: read_decay(values, rate, quantity, strongest_ridge, _AMPLITUDES, _FLOOR).good,
-            lambda: half_cycle_nodes(values, rate, frequency_hz),
+            lambda: [
+                replace(node, time_s=node.time_s + begin / rate)
+                for node in half_cycle_nodes(values[begin:], rate, frequency_hz)
+            ],
         )
         # Over a few periods spectra tell nothing, but turning points do.
         short = values.size / rate * frequency_hz < DECAYS.fewest_periods

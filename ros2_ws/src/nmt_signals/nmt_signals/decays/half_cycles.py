@@ -8,6 +8,7 @@ channel drops out, and so does the displaced rest of dry friction. Nodes follow 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -22,8 +23,26 @@ from nmt_signals.thresholds import DECAYS
 _SMOOTHING_PERIODS = 0.2
 # Either side of a turning point that the parabola is fitted to: a sine is one there within 0.4 %.
 _VERTEX_HALF_WIDTH_PERIODS = 0.1
+# Of the largest voltage, below which a drive is over.
+_OFF = 0.01
 # Times that the piece is centred on its vertex.
 _VERTEX_PASSES = 3
+
+
+def undriven_from(voltages: Iterable[FloatArray]) -> int:
+    """The first sample of a decay at which its drive has come to rest; 0 without a drive that ends.
+
+    Args:
+        voltages: of the exciters, each of shape (n,). A bench ends a drive by a ramp; a voltage that is above a
+            hundredth of its largest value in the second half of the decay is noise, or drives on.
+    """
+    begin = 0
+    for voltage in voltages:
+        size = np.abs(voltage)
+        driven = np.flatnonzero(size > _OFF * np.nanmax(size, initial=0.0))
+        if driven.size and driven[-1] < size.size // 2:
+            begin = max(begin, int(driven[-1]) + 1)
+    return begin
 
 
 def half_cycle_nodes(samples: FloatArray, sample_rate: float, frequency_hz: float) -> list[Node]:

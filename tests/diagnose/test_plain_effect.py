@@ -70,6 +70,22 @@ def test_of_two_that_are_not_the_gap_the_one_that_does_most_comes_nearest(
     assert len(led((two, 0.56), (of(library, "cubic_stiffness", 0.1, REMAINS), alone))[0].split("+")) == leads
 
 
+@pytest.mark.parametrize(("implausible", "leads"), [((), 1), ((1,), 2), ((2,), 1), ((1, 2), 1)])
+def test_an_effect_that_needs_an_implausible_chain_does_not_lead_two_that_need_none(
+    library: dict[str, Candidate], implausible: tuple[int, ...], leads: int
+) -> None:
+    """Its size is wrong by the gain that it needs, however much it closes."""
+    two = of(library, "cubic_stiffness+power_law_damping", 0.9, IMITATION)
+    one = of(library, "cubic_stiffness", 0.0)
+    nan = math.nan
+    shares = {it.head.explanation: ClosedShare(1.0, nan, 0.0, 0.99, nan, nan) for it in (two, one)}
+    first = by_plain_effect(
+        Comparison(0.0, 1.0, (two, one), {}, 100.0, {}), shares, lambda *_: False,
+        lambda found: len(found.candidates) in implausible,
+    ).classes[0]  # fmt: skip
+    assert len(first.head.candidates) == leads
+
+
 def test_two_effects_that_explain_everything_stay_together(library: dict[str, Candidate]) -> None:
     two = of(library, "cubic_stiffness+response_gain", 1.0)
     assert led((two, 0.995), (of(library, "cubic_stiffness", 0.0, REMAINS), 0.98))[0] == "cubic_stiffness+response_gain"

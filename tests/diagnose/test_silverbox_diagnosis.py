@@ -41,26 +41,27 @@ def test_the_silverbox_lacks_a_cubic_spring(
         assert main(["import", f"{name}.yaml", "--out", name]) == 0
     words = ["--model", "silverbox.yaml", "--real", "multisine", "--real", "arrow", "--hold-out", "arrow"]
     assert main(["diagnose", "--quiet", "--jobs", "1", *words, "--out", "diagnosis"]) == 0
-    assert "Verdict: the model lacks cubic stiffness (the structure, point 1)" in capsys.readouterr().out
+    assert "Verdict: cubic stiffness + power law damping (the structure, point 1) explains " in capsys.readouterr().out
 
     found = json.loads(Path("diagnosis/diagnosis.json").read_text(encoding="utf-8"))
     assert found["verdict"] == "effect"
     first = found["ranking"][0]
-    assert (first["effect"], first["place"], first["equivalents"]) == ("cubic_stiffness", "structure", [])
+    assert (first["effect"], first["detail"]) == ("cubic_stiffness + power_law_damping", "1 + 1")
     assert first["probability"] >= 0.9
     assert found["gap"]["held_out"] == ["the test arrow"]
     assert found["gap"]["closed"] >= 0.97
     (arrow,) = (item for name, item in found["gap"]["per_observable"].items() if name.startswith("arrow"))
-    # Literature: the best linear model of the whole arrow leaves 14.1 mV, one with a cubic spring 0.42 mV. The model as
-    # given leaves 12.4 mV of the part that is read here, which ends before the largest motion.
+    # Literature (Noël and Schoukens 2017): the best linear model of the arrow leaves 14.1 mV, one with a cubic spring
+    # 0.42 mV. The model as given, integrated by scipy, leaves 20.4 mV, before gains and delays are taken out.
     volts_of_one = arrow["before_unit"] / arrow["before"]
-    assert 1e3 * volts_of_one * found["gap"]["as_given"] == pytest.approx(12.4, abs=0.5)
+    assert 1e3 * volts_of_one * found["gap"]["as_given"] == pytest.approx(17.2, abs=3.1)
     assert 1e3 * arrow["after_unit"] < 0.6
     others = [item["closed"]["value"] for item in found["ranking"][1:] if "cubic" not in item["effect"]]
     assert all(value is None or not math.isfinite(value) or value < 0.9 for value in others)
 
     model = load_rig("diagnosis/model.yaml")
-    (spring,) = model.local_elements
-    value = first["parameters"]["k"]
-    assert spring.stiffness_n_m3 == pytest.approx(value["value"], rel=1e-6)  # type: ignore[union-attr]
+    (spring,) = (element for element in model.local_elements if element.kind == "cubic_spring")
+    value = first["parameters"]["cubic_stiffness@1.k"]
+    assert spring.stiffness_n_m3 == pytest.approx(value["value"], rel=1e-6)
+    assert abs(value["value"] - 7.39e5) < 2.0 * value["std"] < 5e4
     assert np.isclose(model.sample_rate_hz, RATE)

@@ -354,3 +354,8 @@ def test_what_predicts_worse_than_the_model_alone_is_not_the_nearest() -> None:
 def test_a_threshold_decides(path: str) -> None:
     outcome, expected = EDGES[path]
     assert outcome() == expected
+
+
+def test_a_third_effect_is_as_rare_as_the_second() -> None:
+    """Of three effects one is asked for in six orders."""
+    assert prior(3) == pytest.approx(6.0 * 0.05**2 / 0.25)

@@ -148,21 +148,33 @@ class Comparison:
         return (*self.classes[:count], *parts)
 
 
+def _prior_of_count(effects: int) -> float:
+    """Prior probability of so many effects, in whichever order; each beyond two is as rare as the second is."""
+    comparison = THRESHOLDS.comparison
+    if effects == 0:
+        return comparison.prior_none
+    rarer = comparison.prior_two_effects / comparison.prior_one_effect
+    return math.factorial(effects) * comparison.prior_one_effect * rarer ** (effects - 1)
+
+
 def by_plain_effect(
     comparison: Comparison,
     shares: Mapping[Explanation, ClosedShare],
     leaves_less: Callable[[FittedExplanation, FittedExplanation], bool],
+    implausible: Callable[[FittedExplanation], bool] = lambda found: False,
 ) -> Comparison:
     """Rank a single effect first if it alone closes most of a gap that several together may not explain.
 
     An effect that closes most of a gap alone is established, whatever else acts. One that leaves nothing that matters
     and closes as much of the gap on held-out data as the several is the whole answer. Two laws at two places stay
-    together where they leave noise and certainly less than the one.
+    together where they leave noise and certainly less than the one. An effect that needs an implausible error of the
+    measuring chain does not lead several that need none: its size would be wrong by that error.
 
     Args:
         comparison: of all explanations.
         shares: of the gap that explanations close on data held out.
         leaves_less: whether the first explanation certainly leaves less than the second.
+        implausible: whether an explanation needs an implausible error of the measuring chain.
     """
     if not comparison.classes or comparison.classes[0].adequate:
         return comparison
@@ -185,6 +197,7 @@ def by_plain_effect(
         if set(equivalent.head.explanation.causes) < causes
         and value.get(id(equivalent), -math.inf) >= (least if equivalent.objections else as_much)
         and not (leader.of_two_places and leaves_less(leader.head, equivalent.head))
+        and not (implausible(equivalent.head) and not implausible(leader.head))
     ]
     if not alone:
         return comparison
@@ -343,13 +356,7 @@ class Hypotheses:
         # The limit is an estimate: beyond it the prior falls as that of Cauchy, and what is far beyond loses to a law
         # of the same course without such a limit, not to nothing at all.
         each -= sum(math.log1p(far**2) for far in beyond_physical_limits(found).values())
-        # Two effects come in either order.
-        share = (
-            THRESHOLDS.comparison.prior_none,
-            THRESHOLDS.comparison.prior_one_effect,
-            2.0 * THRESHOLDS.comparison.prior_two_effects,
-        )
-        return each + math.log(share[len(found.stated)])
+        return each + math.log(_prior_of_count(len(found.stated)))
 
     @property
     def stated(self) -> list[FittedExplanation]:

@@ -21,8 +21,8 @@ from nmt_diagnose.ledger.diagnosis import Verdict
 from nmt_diagnose.ledger.gap import ClosedShare
 from nmt_diagnose.ledger.held_out import HeldOut, Split
 from nmt_diagnose.ledger.row import Facts
-from nmt_diagnose.ledger.rules import verdict_of
-from nmt_diagnose.ledger.size import change_size, over
+from nmt_diagnose.ledger.rules import furthest_credible, verdict_of
+from nmt_diagnose.ledger.size import change_size, furthest_chain_error, over
 from nmt_diagnose.prediction.forward import Forward
 from nmt_diagnose.search.findings import Findings
 from nmt_diagnose.search.law_starts import effects_of_law
@@ -158,7 +158,10 @@ def judged(findings: Findings, held_out: HeldOut, settings: DiagnosisSettings) -
         demanded = findings.search.of_records and rise >= THRESHOLDS.verdict.sure_log_evidence
         return demanded or held_out.closed(one, other).low > 0.0
 
-    comparison = by_plain_effect(comparison, shares, leaves_less)
+    limit = furthest_credible(int(np.count_nonzero(findings.data.tolerances)))
+    comparison = by_plain_effect(
+        comparison, shares, leaves_less, lambda found: furthest_chain_error(findings.data, found) > limit
+    )
     leader = comparison.classes[0] if comparison.classes else None
     share = None if leader is None else shares[leader.head.explanation]
     alone = _alone(findings, settings)

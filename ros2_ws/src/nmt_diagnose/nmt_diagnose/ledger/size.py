@@ -369,6 +369,11 @@ def relief_that_counts(data: Data, found: FittedExplanation) -> float:
     return float(chdtri(1, THRESHOLDS.comparison.incredible_probability / max(count, 1)))
 
 
+def furthest_chain_error(data: Data, found: FittedExplanation) -> float:
+    """The largest error of the measuring chain, in tolerances; 0 where nothing has one."""
+    return float(np.abs(found.fit.errors.chain[np.flatnonzero(data.tolerances)]).max(initial=0.0))
+
+
 def implausible_chain(data: Data, found: FittedExplanation, wanted: Mapping[str, float]) -> tuple[str, ...]:
     """A sentence on errors of the measuring chain that are implausible together; else none.
 

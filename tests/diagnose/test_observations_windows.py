@@ -363,7 +363,9 @@ def test_ring_down_of_friction_ends_at_the_sticking_rig(tmp_path: Path) -> None:
     std = observations.std[observations.rows.part == Part.DAMPING]
     sticking = damped_modes(ModelView.of(rig, (2,)).system).damping_ratios[0]
     assert damping[0] > sticking + 2.0 * std[0]
-    assert damping[-2:] == pytest.approx(sticking, rel=0.02)
+    # The last node is within the noise of the channel.
+    assert np.all(np.abs(damping[1:] - sticking) < np.maximum(2.5 * std[1:], 0.01 * sticking))
+    assert np.count_nonzero(std < 0.01 * damping) >= 2
 
 
 @pytest.mark.campaign

@@ -117,5 +117,6 @@ def test_observables_of_held_out_rows_pool_to_the_residual_of_the_headline():
     for key, headline in (("before", share.before), ("after", share.after)):
         squares = sum(item["rows"] * item[key] ** 2 for item in table)
         assert squares / sum(item["rows"] for item in table) == pytest.approx(headline**2)
+    assert sum(item["values"] for item in table) == int(np.any([judged for *_, judged in pairs], axis=0).sum())
     # A row that two splits hold out counts in both, one that none does in neither.
     assert sum(item["rows"] for item in table) == sum(int(judged.sum()) for *_, judged in pairs)

@@ -347,7 +347,7 @@ def observable_table(gap: Gap, verdict: Verdict) -> Table | None:
             text = plain(size, 2 if size < 100 else 0)
             cells.append(Markup("<b>{}</b>").format(text) if size > _LARGE else text)
             cells.append(f"{significant(_number(values, f'{key}_unit'), 3)} {unit}")
-        rows.append(Row([*cells, str(values.get("rows", ""))]))
+        rows.append(Row([*cells, str(values.get("values", values.get("rows", "")))]))
     first, last = (
         ("model as given", "re-fitted") if verdict is Verdict.CALIBRATION else ("re-fitted", "with the effect")
     )

@@ -382,7 +382,7 @@ def ring_down_observations(
         if periods > THRESHOLDS.reading.decay_few_spectral_periods * DECAYS.fewest_periods:
             return empty((f"{name}: the ring-down is left out: {reason}.",))
         return _short_decay(name, stretch, usable[0], channels, view, settings, reason)
-    largest = 0.5 * float(np.ptp(stretch.row(model_channel.name)))
+    largest = 0.5 * float(np.ptp(_undriven(stretch).row(model_channel.name)))
     top = max(node.amplitude for node in decay.good)
     if len(decay.good) < THRESHOLDS.reading.decay_few_nodes or top < _LATE_SHARE * largest:
         # Friction ends a decay within a few periods, however long the recording goes on.
@@ -511,6 +511,8 @@ def _short_decay(
 def _undriven(stretch: SampleStretch) -> SampleStretch:
     """The stretch from where its drive has come to rest."""
     begin = undriven_from(stretch.row(c.name) for c in stretch.channels if c.quantity is Quantity.VOLTAGE)
+    if not begin:
+        return stretch
     cycles = None if stretch.cycles is None else stretch.cycles[begin:]
     return replace(stretch, first_sample=stretch.first_sample + begin, data=stretch.data[:, begin:], cycles=cycles)
 

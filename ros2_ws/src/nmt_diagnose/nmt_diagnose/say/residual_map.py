@@ -91,11 +91,11 @@ def per_observable(observations: Observations, pairs: Sequence[Pair]) -> dict[st
     judged = [rows & np.isfinite(before) & np.isfinite(after) for before, after, rows in pairs]
     for name, number, channel, facts, kind in observables_of(observations):
         selected = [kind & rows for rows in judged]
-        count = int(np.any(selected, axis=0).sum()) if selected else 0
+        count = sum(int(rows.sum()) for rows in selected)
         if not count:
             continue
         scale = observations.sigma * facts.factor
-        found: dict[str, Any] = {"floor": 1.0, "rows": count}
+        found: dict[str, Any] = {"floor": 1.0, "rows": count, "values": int(np.any(selected, axis=0).sum())}
         for key, side in (("before", 0), ("after", 1)):
             pooled = [(pair[side][rows], scale[rows]) for pair, rows in zip(pairs, selected, strict=True)]
             found[key] = rms(np.concatenate([residual for residual, _ in pooled]))

@@ -24,9 +24,9 @@ REPORTED = {
     "microslip@1-2": (
         "plain chain",
         {
-            "kt": lambda rig: last(rig).tangential_stiffness_n_m,
-            "slip_force": lambda rig: last(rig).slip_force_n,
-            "chi": lambda rig: last(rig).exponent,
+            "kt": lambda rig: -last(rig).stiffness_n_m,
+            "slip_force": lambda rig: rig.local_elements[-2].slip_force_n,
+            "chi": lambda rig: rig.local_elements[-2].exponent,
         },
     ),
     "power_law_damping@2": (

@@ -163,11 +163,12 @@ def _new_joint_sites(rig: Rig, operating: OperatingRange) -> tuple[Site, ...]:
 
 
 def _with_new_joint(rig: Rig, site: Site, values: Mapping[str, float]) -> Rig:
-    return with_local(
+    joint = with_local(
         rig, IwanSection, site,
         tangential_stiffness_n_m=values["kt"], slip_force_n=_joint_slip_force(values), exponent=values["power"] - 1.0,
         sliders=_JOINT_SLIDERS, partition="ratio",
     )  # fmt: skip
+    return _taken(joint, site, values)
 
 
 def _joint_slip_force(values: Mapping[str, float]) -> float:
@@ -206,23 +207,6 @@ def _microslip_report(site: Site, values: Mapping[str, float]) -> Reported:
     return {"spread": (spread, "1"), "chi": (chi, "1"), "beta": (inverse(spread), "1")}
 
 
-_NEW_MICROSLIP = Effect(
-    name="microslip",
-    place="joint",
-    equation="Iwan distribution of sliders up to the slip displacement, χ = power − 1, of stiffness kt; for a model "
-    "without friction",
-    reference="Iwan, J. Appl. Mech. 33 (1966) 893; Segalman, J. Appl. Mech. 72 (2005) 752",
-    keys="local_elements: iwan",
-    parameters=(
-        EffectParameter("kt", "N/m"),
-        EffectParameter("slip_displacement", "m", "shape", grid=(0.3, 1.0, 3.0)),
-        _POWER,
-    ),
-    sites=_without_friction(_new_joint_sites),
-    change=_with_new_joint,
-    report=_new_joint_report,
-)  # fmt: skip
-
 BOUNDARY_EFFECTS: tuple[Effect, ...] = (
     Effect(
         name="clamp_compliance",
@@ -260,13 +244,21 @@ JOINT_EFFECTS: tuple[Effect, ...] = (
         change=_with_microslip,
         report=_microslip_report,
     ),
-    _NEW_MICROSLIP,
-    replace(
-        _NEW_MICROSLIP,
-        equation="the same, of stiffness kt that it takes from the model's",
+    Effect(
+        name="microslip",
+        place="joint",
+        equation="Iwan distribution of sliders up to the slip displacement, χ = power − 1, of stiffness kt that it "
+        "takes from the model's; for a model without friction",
+        reference="Iwan, J. Appl. Mech. 33 (1966) 893; Segalman, J. Appl. Mech. 72 (2005) 752",
         keys="local_elements: iwan, linear_spring of −kt",
-        change=lambda rig, site, values: _taken(_with_new_joint(rig, site, values), site, values),
-        form="stuck in the model",
+        parameters=(
+            EffectParameter("kt", "N/m"),
+            EffectParameter("slip_displacement", "m", "shape", grid=(0.3, 1.0, 3.0)),
+            _POWER,
+        ),
+        sites=_without_friction(_new_joint_sites),
+        change=_with_new_joint,
+        report=_new_joint_report,
     ),
     *_friction(
         "second_friction_contact", "joint", _contact_sites,

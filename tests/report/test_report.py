@@ -261,6 +261,20 @@ def test_the_whole_budget_is_what_stands_behind_plus_minus() -> None:
     assert "Bars: repeatability." in html
 
 
+@pytest.mark.parametrize(("factor", "own"), [(1.0, True), (1.5, False), (0.0, False)])
+def test_an_error_of_the_method_from_the_deviations_of_the_run_does_not_judge_them(factor: float, own: bool) -> None:
+    """From another run, or absent, it says nothing of the kind."""
+    data = synthetic_run(levels=3, failed=None)
+    assert data.reference is not None
+    data.budgets = []
+    for point in data.points:
+        away = abs(point.omega_rad_s - data.reference.at(point.modal_amplitude)[0])
+        budget = Budget("omega_rad_s", point.omega_rad_s, {UncertaintySource.METHOD: factor * away})
+        data.budgets.append(PointBudget(point.level_index, point.level, "V", {"omega_rad_s": budget}))
+    assert ("it does not judge them" in report_html(data)) is own
+    assert "Level: amplitude (peak value) of the drive voltage." in report_html(data)
+
+
 def test_the_shift_counts_from_the_smallest_amplitude_and_has_a_sign() -> None:
     data = synthetic_run(levels=3, failed=None)
     for factor, words in ((1.02, "+2 %"), (0.98, "−2 %")):

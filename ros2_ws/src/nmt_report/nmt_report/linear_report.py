@@ -131,7 +131,10 @@ def linear_page(result: LinearTestResult, rig: Rig | None = None, exact: ExactMo
         ("Band", f"{test.settings.band_hz[0]:g} to {test.settings.band_hz[1]:g} Hz"),
         ("Record", duration(test.duration_s)),
         ("Averages", f"{test.force_frfs[0].independent_averages:.0f} effective (overlapping), Hann window"),
-        ("Fitted", f"responses and forces over {test.reference}; the receptance is their ratio"),
+        (
+            "Fitted",
+            "responses over force" if test.reference == "force" else "responses and forces over voltage, then divided",
+        ),
     ]
     page = ResponsePage(
         kicker="Linear modal test",

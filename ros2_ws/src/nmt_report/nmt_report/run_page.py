@@ -268,13 +268,28 @@ def _modal_table(data: RunReportData) -> Table | None:
     note = std_note(data.budgets)
     if data.reference is not None:
         note += f" Δf̃, Δδ̃: deviation from {data.reference.label} at the same modal amplitude."
-        if data.budget_inputs is not None and data.budget_inputs.method is not None:
+        if _is_own_deviation(data):
             note += (
-                " ± contains the error of single-point excitation, which is this deviation in a simulated run: here it "
-                "does not judge Δ."
+                " ± contains the error of single-point excitation, which was taken from these deviations: it does not "
+                "judge them."
             )
     note += f" Level: amplitude (peak value) of the {_LEVEL_WORDS.get(data.points[0].level_unit, 'response')}."
     return Table(head, rows, note)
+
+
+def _is_own_deviation(data: RunReportData) -> bool:
+    """Whether the budget took the error of the method from the deviations of this run, not from another run."""
+    by_level = {point.level_index: point.budgets.get("omega_rad_s") for point in data.budgets}
+    compared = False
+    for point in data.good_points:
+        budget = by_level.get(point.level_index)
+        expected = math.nan if data.reference is None else data.reference.at(point.modal_amplitude)[0]
+        part = 0.0 if budget is None else budget.parts.get(UncertaintySource.METHOD, 0.0)
+        if part > 0.0 and math.isfinite(expected):
+            if not math.isclose(part / point.omega_rad_s, abs(point.omega_rad_s / expected - 1.0), rel_tol=0.01):
+                return False
+            compared = True
+    return compared
 
 
 _LEVEL_WORDS = {"V": "drive voltage", "N": "force"}

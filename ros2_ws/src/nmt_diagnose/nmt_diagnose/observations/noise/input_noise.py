@@ -35,7 +35,7 @@ class InputNoise(NamedTuple):
         resolution_hz: of the lines.
         incoherent: density of each response that the input does not make, (c, lines) from 0 Hz on.
         known: samples of the input that are its noise alone, see :func:`noise_part`, (n,).
-        left: density of the noise beside those over that of all noise, (lines,).
+        left: density of the rest of the noise over that of all noise, (lines,).
     """
 
     density: float
